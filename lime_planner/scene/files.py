@@ -1,0 +1,149 @@
+"""Scene files: `.npz`, and PLY and PCD with an integer label, to and from `Scene`.
+
+An `.npz` holds `points` (N, 3) [m] and `labels` (N,), and optionally `permeability_cost` (N,), `target_pose` (7,), `frame_id`,
+`stake_points` (S, 3), and the ground truth of generated plants: `leaf_ids` (N,), `leaf_triangles` (L, 3, 3), `leaf_triangle_ids`
+(L,), `fruit_centres` (F, 3), `fruit_radii` (F,). Pickled members are refused: a scene file cannot run code.
+"""
+
+from __future__ import annotations
+
+import os
+import zipfile
+import zlib
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from lime_planner.errors import SceneError
+from lime_planner.scene.scene import DEFAULT_FRAME, FRUIT, LEAF, STEM, Scene
+
+SUFFIXES = (".npz", ".ply", ".pcd")
+
+_TRUTH = ("leaf_triangles", "leaf_triangle_ids", "fruit_centres", "fruit_radii")
+_OPTIONAL = ("permeability_cost", "target_pose", "stake_points", "leaf_ids", *_TRUTH)
+
+Members = dict[str, npt.NDArray[Any]]
+
+
+def load_scene(
+    path: str | os.PathLike[str],
+    *,
+    scale: float = 1.0,
+    offset: npt.ArrayLike | None = None,
+    label_field: str = "label",
+    default_frame: str = DEFAULT_FRAME,
+    leaf_labels: Sequence[int] = (LEAF,),
+    stem_labels: Sequence[int] = (STEM,),
+    fruit_label: int | None = FRUIT,
+    ignored_labels: Sequence[int] = (),
+) -> Scene:
+    """Load a scene, enlarge it by `scale` about its origin, then move it by `offset`; its target pose goes with it.
+
+    Args:
+        path: an `.npz`, `.ply` or `.pcd` file.
+        scale: metres for each unit of the file.
+        offset: (3,) [m] in the planning frame.
+        label_field: name of the label in PLY and PCD files; an `.npz` has `labels`.
+        default_frame: the frame of a file that names none.
+        leaf_labels: see `Scene.from_points`, as the next three.
+        stem_labels: the known impermeable labels.
+        fruit_label: the label of fruit.
+        ignored_labels: the labels to drop.
+
+    Raises:
+        SceneError: the file is missing, of another kind, truncated, empty, without a needed field, or a field does not fit.
+    """
+    path = Path(path)
+    suffix = path.suffix.lower()
+    if suffix not in SUFFIXES:
+        raise SceneError(f"{path}: a scene file ends in one of {', '.join(SUFFIXES)}, not in {suffix or 'nothing'!r}")
+    if not path.is_file():
+        raise SceneError(f"{path}: there is no such file")
+    members = _read_npz(path)
+    if not len(members["points"]):
+        raise SceneError(f"{path}: holds no points")
+    frame = str(members.pop("frame_id", default_frame)) or default_frame
+    try:
+        scene = Scene.from_points(
+            members.pop("points"),
+            members.pop("labels"),
+            frame_id=frame,
+            leaf_labels=leaf_labels,
+            stem_labels=stem_labels,
+            fruit_label=fruit_label,
+            ignored_labels=ignored_labels,
+            **members,
+        )
+        if not scene.n_points:
+            raise SceneError(f"none of its points can be used ({_listed(scene.counts)})")
+        return scene.placed(scale, (0.0, 0.0, 0.0) if offset is None else offset)
+    except SceneError as error:
+        raise SceneError(f"{path}: {error}") from error
+
+
+def save_scene(path: str | os.PathLike[str], scene: Scene) -> None:
+    """Write a scene; a reader never sees half a file.
+
+    Raises:
+        SceneError: the suffix is unknown or the file cannot be written.
+    """
+    path = Path(path)
+    suffix = path.suffix.lower()
+    if suffix not in SUFFIXES:
+        raise SceneError(f"{path}: a scene file ends in one of {', '.join(SUFFIXES)}, not in {suffix or 'nothing'!r}")
+    temporary = path.with_name(f".{path.stem}-{os.getpid()}{suffix}")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        _write_npz(temporary, scene)
+        os.replace(temporary, path)
+    except OSError as error:
+        raise SceneError(f"{path}: cannot be written ({error.strerror or error})") from error
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def labelled_points(scene: Scene) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.uint8], npt.NDArray[np.float32]]:
+    """Return the scene as one cloud: points (N, 3) [m], labels (N,), permeability costs (N,); leaves, then stems, then fruit."""
+    points = np.concatenate([scene.leaf_points, scene.stem_points, scene.fruit_points])
+    sizes = (len(scene.leaf_points), len(scene.stem_points), len(scene.fruit_points))
+    labels = np.repeat(np.array([LEAF, STEM, FRUIT], dtype=np.uint8), sizes)
+    costs = np.ones(len(points), dtype=np.float32)
+    costs[: sizes[0]] = scene.leaf_costs
+    return points, labels, costs
+
+
+def _read_npz(path: Path) -> Members:
+    members: Members = {}
+    try:
+        with np.load(path, allow_pickle=False) as archive:
+            for name in ("points", "labels"):
+                if name not in archive.files:
+                    raise SceneError(f"{path}: has no array {name!r}; it has {', '.join(sorted(archive.files)) or 'none'}")
+            for name in ("points", "labels", "frame_id", *_OPTIONAL):
+                if name in archive.files:
+                    members[name] = archive[name]
+    except SceneError:
+        raise
+    except (OSError, ValueError, EOFError, KeyError, AttributeError, MemoryError, zipfile.BadZipFile, zlib.error) as error:
+        raise SceneError(f"{path}: is not a readable .npz file ({error})") from error
+    return members
+
+
+def _write_npz(path: Path, scene: Scene) -> None:
+    points, labels, costs = labelled_points(scene)
+    members: dict[str, Any] = {"points": points, "labels": labels, "frame_id": np.array(scene.frame_id)}
+    if (costs != 1.0).any():
+        members["permeability_cost"] = costs
+    if scene.target_pose is not None:
+        members["target_pose"] = scene.target_pose
+    if scene.leaf_ids is not None:
+        members["leaf_ids"] = np.concatenate([scene.leaf_ids, np.full(len(points) - len(scene.leaf_ids), -1, dtype=np.int32)])
+    members.update({name: getattr(scene, name) for name in _TRUTH if getattr(scene, name) is not None})
+    np.savez_compressed(path, **members)
+
+
+def _listed(counts: Any) -> str:
+    return ", ".join(f"{value} {name}" for name, value in counts.items() if value)

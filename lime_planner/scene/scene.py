@@ -1,0 +1,282 @@
+"""The one immutable picture of what stands in front of the arm: labelled points, and on generated plants the ground truth."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial import cKDTree
+
+from lime_planner.errors import SceneError
+
+#: Labels of the points in scene files and clouds; every other label is impermeable.
+LEAF, STEM, FRUIT = 0, 1, 2
+
+#: Root link of the built-in arms, and with it their planning frame.
+DEFAULT_FRAME = "base"
+
+FRUIT_LINK_M = 0.012  #: fruit points closer than this belong to one fruit, or to fruits that touch
+FRUIT_EXTENT_M = 0.065  #: a cluster longer than this along any axis is several fruits (a lime measures 4-5 cm)
+FRUIT_RADIUS_M = 0.03  #: what is let go of such a cluster: its points this close to the target
+
+Float32 = npt.NDArray[np.float32]
+Float64 = npt.NDArray[np.float64]
+Int32 = npt.NDArray[np.int32]
+
+
+def _frozen(name: str, value: Any, dtype: Any, shape: tuple[int, ...]) -> npt.NDArray[Any]:
+    """Copy `value` to a read-only array of this shape (-1: any length); SceneError names the field that does not fit."""
+    try:
+        array = np.array(value, dtype=dtype, order="C")
+    except (TypeError, ValueError) as error:
+        raise SceneError(f"{name}: cannot be read as {np.dtype(dtype)} numbers ({error})") from error
+    if array.size == 0 and shape[0] == -1 and array.ndim == 1:
+        array = array.reshape(0, *shape[1:])
+    if array.ndim != len(shape) or any(want not in (-1, got) for want, got in zip(shape, array.shape, strict=True)):
+        raise SceneError(f"{name}: shape {array.shape}, expected {str(shape).replace('-1', 'N')}")
+    if array.dtype.kind == "f" and not np.isfinite(array).all():
+        raise SceneError(f"{name}: {int((~np.isfinite(array)).sum())} numbers are not finite")
+    array.flags.writeable = False
+    return array
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Scene:
+    """What stands in front of the arm. All lengths in metres, in the frame `frame_id` (the planning frame), z up.
+
+    Attributes:
+        leaf_points: (N, 3) float32, permeable.
+        leaf_costs: (N,) float32 >= 0, multiplies the leaf weight at each leaf point [-].
+        stem_points: (M, 3) float32, impermeable: stems, branches, stakes, wires and whatever has an unknown label.
+        fruit_points: (K, 3) float32, every fruit, the target's too (see `impermeable_points`).
+        frame_id: the frame of all points.
+        target_pose: (7,) float64 x y z qx qy qz qw, T_base_tool at the grasp, or None.
+        counts: what was received and what was dropped on the way here, by reason [points].
+        stem_displacement_m: no received stem or fruit point inside the crop is farther than this from a kept one.
+        leaf_displacement_m: the same for the leaf points that were not outliers.
+        leaf_ids: (N,) int32, the leaf each leaf point lies on; generated plants only.
+        leaf_triangles: (L, 3, 3) float32, corners of the leaves' surface; generated plants only.
+        leaf_triangle_ids: (L,) int32, the leaf each triangle belongs to.
+        fruit_centres: (F, 3) float32; generated plants only.
+        fruit_radii: (F,) float32.
+    """
+
+    leaf_points: Float32
+    leaf_costs: Float32
+    stem_points: Float32
+    fruit_points: Float32
+    frame_id: str = DEFAULT_FRAME
+    target_pose: Float64 | None = None
+    counts: Mapping[str, int] = dataclasses.field(default_factory=dict)
+    stem_displacement_m: float = 0.0
+    leaf_displacement_m: float = 0.0
+    leaf_ids: Int32 | None = None
+    leaf_triangles: Float32 | None = None
+    leaf_triangle_ids: Int32 | None = None
+    fruit_centres: Float32 | None = None
+    fruit_radii: Float32 | None = None
+
+    def __post_init__(self) -> None:
+        """Copy, check and freeze the arrays."""
+        n_leaf = len(self.leaf_points)
+        n_triangles = 0 if self.leaf_triangles is None else len(self.leaf_triangles)
+        n_fruit = 0 if self.fruit_centres is None else len(self.fruit_centres)
+        layout: dict[str, tuple[Any, tuple[int, ...]]] = {
+            "leaf_points": (np.float32, (-1, 3)),
+            "leaf_costs": (np.float32, (n_leaf,)),
+            "stem_points": (np.float32, (-1, 3)),
+            "fruit_points": (np.float32, (-1, 3)),
+            "target_pose": (np.float64, (7,)),
+            "leaf_ids": (np.int32, (n_leaf,)),
+            "leaf_triangles": (np.float32, (-1, 3, 3)),
+            "leaf_triangle_ids": (np.int32, (n_triangles,)),
+            "fruit_centres": (np.float32, (-1, 3)),
+            "fruit_radii": (np.float32, (n_fruit,)),
+        }
+        for name, (dtype, shape) in layout.items():
+            value = getattr(self, name)
+            if value is not None:
+                object.__setattr__(self, name, _frozen(name, value, dtype, shape))
+        if (self.leaf_costs < 0).any():
+            raise SceneError(f"permeability_cost: {float(self.leaf_costs.min()):g} is below its limit 0")
+        if self.target_pose is not None and np.linalg.norm(self.target_pose[3:]) < 1e-6:
+            raise SceneError("target_pose: its quaternion has length zero; it must describe a rotation")
+        object.__setattr__(self, "counts", dict(self.counts))
+
+    @property
+    def n_points(self) -> int:
+        """Number of points of all classes."""
+        return len(self.leaf_points) + len(self.stem_points) + len(self.fruit_points)
+
+    @classmethod
+    def from_points(
+        cls,
+        points: npt.ArrayLike,
+        labels: npt.ArrayLike,
+        *,
+        frame_id: str = DEFAULT_FRAME,
+        leaf_labels: Sequence[int] = (LEAF,),
+        stem_labels: Sequence[int] = (STEM,),
+        fruit_label: int | None = FRUIT,
+        ignored_labels: Sequence[int] = (),
+        permeability_cost: npt.ArrayLike | None = None,
+        stake_points: npt.ArrayLike | None = None,
+        target_pose: npt.ArrayLike | None = None,
+        leaf_ids: npt.ArrayLike | None = None,
+        **truth: Any,
+    ) -> Scene:
+        """Sort one labelled cloud into a scene.
+
+        Points that are not finite are dropped and counted. A label that is none of leaf, fruit and ignored makes its points
+        impermeable whether it is listed in `stem_labels` or not; the unlisted ones are counted as `unknown_label`. A label that
+        is listed twice has the more careful meaning: stem before fruit before ignored before leaf.
+
+        Args:
+            points: (N, 3) [m], in `frame_id`.
+            labels: (N,) integers.
+            frame_id: the frame of the points.
+            leaf_labels: the permeable labels.
+            stem_labels: the known impermeable labels.
+            fruit_label: the label of fruit, or None if there is none.
+            ignored_labels: points with these labels are dropped (the ground, say).
+            permeability_cost: (N,) >= 0, used at leaf points [-]; default 1.
+            stake_points: (S, 3) [m], further impermeable points.
+            target_pose: (7,) T_base_tool at the grasp.
+            leaf_ids: (N,) integers, used at leaf points.
+            **truth: further fields of `Scene`, taken as they are.
+
+        Raises:
+            SceneError: sizes differ, labels are no integers, a cost is negative or not finite.
+        """
+        points = _points("points", points)
+        n = len(points)
+        labels = _labels(labels, n)
+        finite = np.isfinite(points).all(axis=1)
+        stakes = _points("stake_points", () if stake_points is None else stake_points)
+        finite_stakes = np.isfinite(stakes).all(axis=1)
+        stem = np.isin(labels, list(stem_labels))
+        fruit = np.zeros(n, dtype=bool) if fruit_label is None else (labels == fruit_label) & ~stem
+        ignored = np.isin(labels, list(ignored_labels)) & ~stem & ~fruit
+        leaf = np.isin(labels, list(leaf_labels)) & ~stem & ~fruit & ~ignored
+        unknown = ~(stem | fruit | ignored | leaf)
+        counts = {
+            "received": n + len(stakes),
+            "non_finite": int((~finite).sum() + (~finite_stakes).sum()),
+            "ignored": int((ignored & finite).sum()),
+            "unknown_label": int((unknown & finite).sum()),
+        }
+        leaf, fruit, hard = leaf & finite, fruit & finite, (stem | unknown) & finite
+        costs: npt.NDArray[Any] = np.ones(n) if permeability_cost is None else _column("permeability_cost", permeability_cost, n)
+        return cls(
+            leaf_points=points[leaf],
+            leaf_costs=costs[leaf],
+            stem_points=np.concatenate([points[hard], stakes[finite_stakes]]),
+            fruit_points=points[fruit],
+            frame_id=frame_id,
+            target_pose=None if target_pose is None else np.asarray(target_pose),
+            counts=counts,
+            leaf_ids=None if leaf_ids is None else _column("leaf_ids", leaf_ids, n)[leaf],
+            **truth,
+        )
+
+    def impermeable_points(self, target_position: npt.ArrayLike | None, radius_m: float) -> Float32:
+        """Return every point that the arm must not touch, (P, 3) float32 [m]: stems and all fruit but the target's.
+
+        The target's fruit is the cluster of fruit points that holds the one nearest to the target, if that is within
+        `radius_m`. Where fruits touch each other the cluster is longer than a lime; then only its points within
+        `FRUIT_RADIUS_M` of the target are let go, so that at most a sliver of the neighbour is.
+
+        Args:
+            target_position: (3,) [m], or None to keep all fruit.
+            radius_m: how far from the target its fruit may be.
+        """
+        if target_position is None or not len(self.fruit_points):
+            return np.concatenate([self.stem_points, self.fruit_points])
+        centre = np.asarray(target_position, dtype=np.float64)
+        from_target = np.linalg.norm(self.fruit_points - centre, axis=1)
+        seed = int(from_target.argmin())
+        if from_target[seed] > radius_m:
+            return np.concatenate([self.stem_points, self.fruit_points])
+        near = np.flatnonzero(from_target < from_target[seed] + 2.0 * FRUIT_EXTENT_M)
+        cluster = near[_connected(self.fruit_points[near], int(np.searchsorted(near, seed)), FRUIT_LINK_M)]
+        if np.ptp(self.fruit_points[cluster], axis=0).max() > FRUIT_EXTENT_M:
+            cluster = cluster[from_target[cluster] < min(FRUIT_RADIUS_M, radius_m)]
+        kept = np.ones(len(self.fruit_points), dtype=bool)
+        kept[cluster] = False
+        return np.concatenate([self.stem_points, self.fruit_points[kept]])
+
+    def moved(self, offset_xyz: npt.ArrayLike) -> Scene:
+        """Return the scene moved by `offset_xyz` (3,) [m], with its target and its ground truth."""
+        return self.placed(1.0, offset_xyz)
+
+    def placed(self, scale: float, offset_xyz: npt.ArrayLike) -> Scene:
+        """Return the scene enlarged about the origin by `scale` and then moved by `offset_xyz` (3,) [m].
+
+        Raises:
+            SceneError: the scale is not above zero, or a number is not finite.
+        """
+        offset = _frozen("offset", offset_xyz, np.float64, (3,))
+        if not (np.isfinite(scale) and scale > 0.0):
+            raise SceneError(f"scale: {scale} is not a finite number above 0")
+        changed: dict[str, Any] = {}
+        for name in ("leaf_points", "stem_points", "fruit_points", "leaf_triangles", "fruit_centres"):
+            value = getattr(self, name)
+            if value is not None:
+                changed[name] = value.astype(np.float64) * scale + offset
+        if self.fruit_radii is not None:
+            changed["fruit_radii"] = self.fruit_radii * scale
+        if self.target_pose is not None:
+            changed["target_pose"] = np.concatenate([self.target_pose[:3] * scale + offset, self.target_pose[3:]])
+        for name in ("stem_displacement_m", "leaf_displacement_m"):
+            changed[name] = getattr(self, name) * scale
+        return dataclasses.replace(self, **changed)
+
+
+def _points(name: str, value: npt.ArrayLike) -> Float32:
+    """Return (N, 3) float32; points beyond float32 become infinite here and are dropped by the caller as not finite."""
+    try:
+        with np.errstate(over="ignore"):
+            array = np.asarray(value, dtype=np.float32)
+    except (TypeError, ValueError) as error:
+        raise SceneError(f"{name}: cannot be read as numbers ({error})") from error
+    if array.ndim == 1 and array.size == 0:
+        array = array.reshape(0, 3)
+    if array.ndim != 2 or array.shape[1] != 3:
+        raise SceneError(f"{name}: shape {array.shape}, expected (N, 3)")
+    return array
+
+
+def _column(name: str, value: npt.ArrayLike, n: int) -> npt.NDArray[Any]:
+    """Return one number for each of n points, (n,)."""
+    array = np.asarray(value)
+    if array.ndim == 2 and array.shape[1] == 1:
+        array = array[:, 0]
+    if array.shape != (n,):
+        raise SceneError(f"{name}: shape {array.shape}, expected ({n},), one for each point")
+    return array
+
+
+def _labels(value: npt.ArrayLike, n: int) -> npt.NDArray[np.int64]:
+    """Return the labels (n,) as integers; whole numbers in a float field (some writers know no integers) are accepted."""
+    array = _column("labels", value, n)
+    if array.dtype.kind not in "iubf":
+        raise SceneError(f"labels: of type {array.dtype}, expected integers")
+    if array.dtype.kind == "f" and not (np.isfinite(array).all() and (array == np.trunc(array)).all() and (np.abs(array) < 2**31).all()):
+        raise SceneError("labels: some are not whole numbers")
+    return array.astype(np.int64)
+
+
+def _connected(points: Float32, seed: int, link_m: float) -> npt.NDArray[np.int64]:
+    """Return the indices of the points that are linked to `seed` by steps of at most `link_m`."""
+    tree = cKDTree(points)
+    seen = np.zeros(len(points), dtype=bool)
+    seen[seed] = True
+    front = [seed]
+    while front:
+        neighbours = np.unique(np.concatenate([np.asarray(n, dtype=np.int64) for n in tree.query_ball_point(points[front], link_m)]))
+        front = neighbours[~seen[neighbours]].tolist()
+        seen[front] = True
+    return np.flatnonzero(seen)
