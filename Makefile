@@ -1,0 +1,43 @@
+# lime_planner: `make demo` and `make test` set everything up themselves. `make help` says what else there is.
+SHELL := /bin/bash
+.DEFAULT_GOAL := help
+.PHONY: help setup demo test lint clean
+
+BIN := $(CURDIR)/.venv/bin
+SCENE ?=
+DEMO_ARGS ?=
+PYTEST_ARGS ?=
+
+# The ROS wheels leave their library path to child processes; that of another environment must not reach this one's.
+ifdef _ROS_WHEELS_BOOTSTRAP_COMPLETE
+unexport LD_LIBRARY_PATH _ROS_WHEELS_BOOTSTRAP_COMPLETE
+endif
+# A sourced ROS 2 is seen through PYTHONPATH; otherwise the environment stands alone.
+ifndef ROS_DISTRO
+unexport PYTHONPATH
+endif
+
+help:
+	@echo "make demo                   a simulated Kinova arm reaches a lime inside a plant; ends with a table and a picture in out/"
+	@echo "make demo SCENE=file.npz    the same for a scene of yours (also PLY, PCD); more options: DEMO_ARGS='--help'"
+	@echo "make test                   ruff, mypy and all tests (some of them: PYTEST_ARGS='-k name')"
+	@echo "make lint                   ruff and mypy alone"
+	@echo "make setup                  only what the others do first: system libraries, .venv, dependencies (PYTHON=... to choose one)"
+	@echo "make clean                  remove .venv, builds, caches and out/"
+
+setup:
+	@PYTHON='$(PYTHON)' scripts/setup.sh
+
+demo: setup
+	@$(BIN)/python -m lime_planner.ros.demo $(if $(SCENE),--scene '$(SCENE)') $(DEMO_ARGS)
+
+lint: setup
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+
+test: lint
+	ROS_PYTHON_CHECK_FIELDS=1 $(BIN)/python -m pytest $(PYTEST_ARGS)
+
+clean:
+	rm -rf .venv build install log out dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +

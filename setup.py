@@ -1,0 +1,84 @@
+"""Packaging. The list of Python dependencies below is the only one; version and description are read from package.xml."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+from pathlib import Path
+
+from setuptools import find_packages, setup
+
+NAME = "lime_planner"
+HERE = Path(__file__).resolve().parent
+MANIFEST = ET.parse(HERE / "package.xml").getroot()
+
+INSTALL_REQUIRES = [
+    "numpy>=1.26",
+    "scipy>=1.11",
+    "numba>=0.60",
+    "PyYAML>=6.0",
+    "pin>=3.0",  # Pinocchio: URDF and forward kinematics
+    "example-robot-data>=4.3",  # the Kinova j2s6s200's URDF and meshes
+    "python-fcl>=0.7.0.8",  # exact collision checks
+    "trimesh>=4.0",
+    "toppra>=0.6.3",  # time parameterisation
+    # Point clouds. The CPU build is a quarter of the download; it exists for Linux on x86-64 only.
+    "open3d-cpu>=0.18; sys_platform == 'linux' and platform_machine == 'x86_64'",
+    "open3d>=0.18; sys_platform != 'linux' or platform_machine != 'x86_64'",
+    "matplotlib>=3.8",
+    "rich>=13.0",
+]
+
+EXTRAS_REQUIRE = {
+    # ROS 2 Jazzy as wheels, for machines without a ROS installation; never together with /opt/ros.
+    "ros": ["ros-jazzy-rclpy[fastrtps]>=7.1", "ros-jazzy-common-interfaces>=5.3"],
+    # launch_testing's pytest plugin breaks on pytest 9.
+    "test": ["pytest>=7.4,<9", "hypothesis>=6.90", "ruff>=0.6", "mypy>=1.11", "scipy-stubs", "types-PyYAML"],
+    # setuptools 80 broke `colcon build --symlink-install`.
+    "colcon": ["colcon-ros>=0.5", "colcon-bash>=0.5", "setuptools>=65,<80"],
+}
+
+CONSOLE_SCRIPTS = [
+    "planner_node = lime_planner.ros.planner_node:main",
+    "mock_arm_node = lime_planner.ros.mock_arm_node:main",
+    "scene_node = lime_planner.ros.scene_node:main",
+    "lime-planner = lime_planner.cli:main",
+]
+
+
+def _text(tag: str) -> str:
+    return " ".join((MANIFEST.findtext(tag) or "").split())
+
+
+def _shared(folder: str) -> list[tuple[str, list[str]]]:
+    # One entry for each folder below `folder`, to share/lime_planner as ament expects.
+    found: dict[str, list[str]] = {}
+    for path in sorted((HERE / folder).rglob("*")):
+        if path.is_file() and "__pycache__" not in path.parts:
+            relative = path.relative_to(HERE)
+            found.setdefault(f"share/{NAME}/{relative.parent}", []).append(str(relative))
+    return list(found.items())
+
+
+setup(
+    name=NAME,
+    version=_text("version"),
+    description=_text("description"),
+    long_description=(HERE / "README.md").read_text(encoding="utf-8") if (HERE / "README.md").is_file() else "",
+    long_description_content_type="text/markdown",
+    maintainer=_text("maintainer"),
+    maintainer_email=MANIFEST.find("maintainer").get("email"),
+    license=_text("license"),
+    python_requires=">=3.11,<3.13",
+    packages=find_packages(include=[NAME, f"{NAME}.*"]),
+    package_data={NAME: ["py.typed", *(f"**/*.{kind}" for kind in ("urdf", "xml", "yaml", "json", "html", "css", "js"))]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
+        (f"share/{NAME}", ["package.xml"]),
+        *_shared("launch"),
+        *_shared("config"),
+    ],
+    zip_safe=False,
+    install_requires=INSTALL_REQUIRES,
+    extras_require=EXTRAS_REQUIRE,
+    entry_points={"console_scripts": CONSOLE_SCRIPTS},
+)
