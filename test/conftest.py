@@ -1,0 +1,37 @@
+"""What several test files share."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+
+# Set before rclpy is imported anywhere: wrong field types raise instead of arriving as garbage, and tests stay on this machine.
+os.environ.setdefault("ROS_PYTHON_CHECK_FIELDS", "1")
+os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+os.environ.setdefault("MPLBACKEND", "Agg")
+
+
+def shared_data() -> Path:
+    """Folder of the real plant scans: LIME_PLANNER_DATA, else ../shared/data beside the repository; skips the test where it is absent."""
+    named = os.environ.get("LIME_PLANNER_DATA")
+    folder = Path(named) if named else ROOT.parent / "shared" / "data"
+    if not folder.is_dir():
+        pytest.skip(f"no real plant scans: {folder} is not a folder (set LIME_PLANNER_DATA)")
+    return folder
+
+
+@pytest.fixture(name="shared_data", scope="session")
+def shared_data_fixture() -> Path:
+    """The same as a fixture."""
+    return shared_data()
+
+
+@pytest.fixture
+def rng() -> np.random.Generator:
+    """A generator with a fixed seed."""
+    return np.random.default_rng(7)
