@@ -1,0 +1,1 @@
+"""The arm: model from a URDF, kinematics, inverse kinematics, and the exact collision check."""

@@ -1,0 +1,222 @@
+"""The arm: joints, limits, kinematic chain and collision meshes, read from a URDF through Pinocchio.
+
+Joint frames are the URDF's, turned where needed so that every axis is +z (`lime_planner.robot.kinematics.make_chain`).
+"""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from lime_planner.errors import RobotError
+from lime_planner.robot.builtin import BUILTIN_ARMS, TOOL_RPY, read_builtin, share_directories
+from lime_planner.robot.kinematics import Chain, forward_kinematics, tool_pose
+from lime_planner.robot.meshes import LinkMesh
+from lime_planner.robot.pairs import find_collision_pairs
+from lime_planner.robot.tree import read_tree
+from lime_planner.robot.urdf import parse_urdf, resolve_meshes, set_joint_rpy
+
+__all__ = ["LinkMesh", "Robot", "home", "load_robot", "robot_from_urdf"]
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Robot:
+    """A serial arm of n turning joints. Compared by identity, so that it may be a key.
+
+    Attributes:
+        name: built-in name, or the URDF's.
+        joint_names: (n), from base to tool.
+        lower: (n,) lower joint limits [rad], -inf for continuous joints.
+        upper: (n,) upper joint limits [rad], inf for continuous joints.
+        continuous: (n,) bool.
+        velocity_limits: (n,) [rad/s].
+        acceleration_limits: (n,) [rad/s²].
+        planning_frame: the frame everything is expressed in, called base in the code.
+        tool_frame: the frame that must reach the target.
+        chain: the kinematic chain, for kernels.
+        links: links with collision geometry.
+        collision_pairs: pairs of indices of `links` to be checked for self-collision.
+        reach_m: no point of the arm gets farther from the planning frame's origin.
+        urdf: the description as used, tool frame included.
+    """
+
+    name: str
+    joint_names: tuple[str, ...]
+    lower: Array
+    upper: Array
+    continuous: npt.NDArray[np.bool_]
+    velocity_limits: Array
+    acceleration_limits: Array
+    planning_frame: str
+    tool_frame: str
+    chain: Chain
+    links: tuple[LinkMesh, ...]
+    collision_pairs: tuple[tuple[int, int], ...]
+    reach_m: float
+    urdf: str
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+        return len(self.joint_names)
+
+    def link_poses(self, q: npt.ArrayLike) -> Array:
+        """Return T_base_joint of every joint frame, (n + 1, 4, 4); the first is the base's identity.
+
+        Args:
+            q: configuration, (n,) [rad].
+        """
+        poses = np.empty((self.n + 1, 3, 4))
+        forward_kinematics(self.chain, self._configuration(q), poses)
+        full = np.zeros((self.n + 1, 4, 4))
+        full[:, :3] = poses
+        full[:, 3, 3] = 1.0
+        return full
+
+    def forward(self, q: npt.ArrayLike) -> Array:
+        """Return T_base_tool, (4, 4), of configuration q (n,) [rad]."""
+        poses = np.empty((self.n + 1, 3, 4))
+        forward_kinematics(self.chain, self._configuration(q), poses)
+        T_base_tool = np.eye(4)
+        tool_pose(self.chain, poses, T_base_tool[:3])
+        return T_base_tool
+
+    def within_limits(self, q: npt.ArrayLike, tolerance_rad: float = 1e-9) -> bool:
+        """Tell whether q (n,) [rad] is finite and within the joint limits."""
+        values = self._configuration(q)
+        inside = (values >= self.lower - tolerance_rad) & (values <= self.upper + tolerance_rad)
+        return bool(np.isfinite(values).all() and inside.all())
+
+    def limit_violation(self, q: npt.ArrayLike, tolerance_rad: float = 1e-9) -> str | None:
+        """Return a sentence about the first joint of q (n,) outside its limits, or None."""
+        for name, value, low, high in zip(self.joint_names, self._configuration(q), self.lower, self.upper, strict=True):
+            if not np.isfinite(value):
+                return f"{name} is {value}"
+            if value < low - tolerance_rad or value > high + tolerance_rad:
+                return f"{name} is at {value:.4f} rad, outside its limits {low:.4f} to {high:.4f} rad"
+        return None
+
+    def _configuration(self, q: npt.ArrayLike) -> Array:
+        values = np.ascontiguousarray(q, dtype=np.float64)
+        if values.shape != (self.n,):
+            raise RobotError(f"{self.name} has {self.n} joints; the configuration has shape {values.shape}")
+        return values
+
+
+def load_robot(
+    name_or_path: str,
+    *,
+    joint_names: Sequence[str] | None = None,
+    planning_frame: str | None = None,
+    tool_frame: str | None = None,
+    locked: Mapping[str, float] | None = None,
+) -> Robot:
+    """Load a built-in arm or a URDF file.
+
+    Args:
+        name_or_path: a built-in name (`kinova_j2s6s200`, `kinova_j2n6s300`) or the path of a URDF file.
+        joint_names: the arm's joints from base to tool; by default all that move between planning and tool frame.
+        planning_frame: a link that stands still; the root link by default.
+        tool_frame: a link that moves with the last arm joint; for built-in arms `<prefix>_end_effector` by default.
+        locked: positions of joints outside the arm [rad or m]; by default 0, moved into the limits, mimic joints following theirs.
+
+    Raises:
+        RobotError: no such robot or file, or a description that cannot be used.
+    """
+    arm = BUILTIN_ARMS.get(name_or_path)
+    if arm is not None:
+        text, folder = read_builtin(name_or_path)
+        root = parse_urdf(text)
+        set_joint_rpy(root, arm.tool_frame, TOOL_RPY)
+        return robot_from_urdf(
+            ET.tostring(root, encoding="unicode"),
+            name=name_or_path,
+            joint_names=joint_names or arm.joint_names,
+            planning_frame=planning_frame,
+            tool_frame=tool_frame or arm.tool_frame,
+            locked=locked,
+            base_dir=folder,
+        )
+    path = Path(name_or_path).expanduser()
+    if not path.is_file():
+        raise RobotError(f"robot {name_or_path!r} is neither a built-in arm ({', '.join(BUILTIN_ARMS)}) nor a URDF file that exists")
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise RobotError(f"the URDF file {path} cannot be read: {error}") from error
+    return robot_from_urdf(
+        text, joint_names=joint_names, planning_frame=planning_frame, tool_frame=tool_frame, locked=locked, base_dir=path.resolve().parent
+    )
+
+
+def robot_from_urdf(
+    text: str,
+    *,
+    name: str | None = None,
+    joint_names: Sequence[str] | None = None,
+    planning_frame: str | None = None,
+    tool_frame: str | None = None,
+    locked: Mapping[str, float] | None = None,
+    base_dir: Path | None = None,
+) -> Robot:
+    """Build a robot from a URDF's text, as published on `robot_description`.
+
+    Args:
+        text: the URDF.
+        name: name to give the robot; the URDF's by default.
+        joint_names: see `load_robot`.
+        planning_frame: see `load_robot`.
+        tool_frame: see `load_robot`; by default the one link at the end of the longest chain of moving joints.
+        locked: see `load_robot`.
+        base_dir: where relative mesh paths start; the working directory by default.
+
+    Raises:
+        RobotError: a description that cannot be used; the text names the joint, link or file and the alternatives.
+    """
+    root = parse_urdf(text)
+    resolved = resolve_meshes(root, base_dir, share_directories())
+    tree = read_tree(root, resolved, joint_names=joint_names, planning_frame=planning_frame, tool_frame=tool_frame, locked=locked or {})
+    return Robot(
+        name=name or root.get("name") or "robot",
+        joint_names=tree.joint_names,
+        lower=tree.lower,
+        upper=tree.upper,
+        continuous=tree.continuous,
+        velocity_limits=tree.velocity_limits,
+        acceleration_limits=tree.acceleration_limits,
+        planning_frame=tree.planning_frame,
+        tool_frame=tree.tool_frame,
+        chain=tree.chain,
+        links=tree.links,
+        collision_pairs=find_collision_pairs(tree.chain, tree.links, tree.adjacent, tree.lower, tree.upper),
+        reach_m=_reach(tree.chain, tree.links),
+        urdf=text,
+    )
+
+
+def home(robot: Robot) -> Array:
+    """Return a ready configuration, (n,) [rad]: the driver's home of a built-in arm, else the middle of the limits (0 if continuous).
+
+    Only the built-in arms' is known to be free of self-collision.
+    """
+    arm = BUILTIN_ARMS.get(robot.name)
+    if arm is not None and robot.joint_names == arm.joint_names:
+        return np.array(arm.home)
+    limits = np.where(robot.continuous, 0.0, [robot.lower, robot.upper])
+    return np.asarray(limits.mean(axis=0))
+
+
+def _reach(chain: Chain, links: Sequence[LinkMesh]) -> float:
+    """Bound the distance from the planning frame's origin to any point of the arm: the lengths of all offsets, stretched out."""
+    offsets = np.concatenate([[0.0], np.cumsum(np.linalg.norm(chain.placements[:, :, 3], axis=1))])
+    reach = float(offsets[-1] + np.linalg.norm(chain.tool[:, 3]))
+    for link in links:
+        reach = max(reach, float(offsets[link.joint] + np.linalg.norm(link.vertices, axis=1).max()))
+    return reach

@@ -1,0 +1,121 @@
+"""The text of a URDF: checks that name the culprit, the tool frame's convention, and where the meshes are."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+from collections.abc import Iterable
+from pathlib import Path
+from urllib.parse import unquote, urlparse
+
+from lime_planner.errors import RobotError
+
+_SHAPES = ("mesh", "box", "cylinder", "sphere")
+
+
+def parse_urdf(text: str) -> ET.Element:
+    """Parse a URDF and check what the URDF library would drop without a word.
+
+    Raises:
+        RobotError: not XML, not a URDF, unprocessed xacro, names used twice or not declared, not one tree, or a collision shape
+            that is not a mesh, box, cylinder or sphere (dropped, the arm would be thinner than it is).
+    """
+    if "<!DOCTYPE" in text or "<!ENTITY" in text:
+        raise RobotError("the URDF declares a document type or entities, which is not allowed")
+    try:
+        root = ET.fromstring(text)
+    except ET.ParseError as error:
+        raise RobotError(f"the robot description is not well-formed XML: {error}") from error
+    if root.tag != "robot":
+        raise RobotError(f"the robot description's outermost element is <{root.tag}>, not <robot>")
+    if any(isinstance(e.tag, str) and "xacro" in e.tag for e in root.iter()):
+        raise RobotError("the robot description still holds xacro elements: run xacro on it first")
+    links = _names(root, "link")
+    _names(root, "joint")
+    if not links:
+        raise RobotError("the robot description has no link")
+    children: set[str] = set()
+    for joint in root.findall("joint"):
+        for end in ("parent", "child"):
+            element = joint.find(end)
+            link = "" if element is None else element.get("link", "")
+            if link not in links:
+                raise RobotError(f"joint {joint.get('name')} has the {end} link {link!r}, which is not declared")
+            if end == "child":
+                if link in children:
+                    raise RobotError(f"link {link} is the child of two joints; a URDF must be a tree")
+                children.add(link)
+    roots = sorted(links - children)
+    if len(roots) != 1:
+        raise RobotError(f"the robot description must have one root link; it has {len(roots)}: {', '.join(roots)}")
+    for link_element in root.findall("link"):
+        for geometry in link_element.findall("collision/geometry"):
+            kinds = [child.tag for child in geometry]
+            if len(kinds) != 1 or kinds[0] not in _SHAPES:
+                raise RobotError(f"link {link_element.get('name')} has the collision shape {kinds}; it must be one of {', '.join(_SHAPES)}")
+    return root
+
+
+def _names(root: ET.Element, tag: str) -> set[str]:
+    names: set[str] = set()
+    for element in root.findall(tag):
+        name = element.get("name")
+        if not name:
+            raise RobotError(f"the robot description has a {tag} without a name")
+        if name in names:
+            raise RobotError(f"the robot description has two {tag}s named {name}")
+        names.add(name)
+    return names
+
+
+def set_joint_rpy(root: ET.Element, child_link: str, rpy: str) -> None:
+    """Turn the fixed joint above `child_link` to another `rpy`, in place (re-tooling)."""
+    for joint in root.findall("joint"):
+        child, origin = joint.find("child"), joint.find("origin")
+        if child is not None and origin is not None and child.get("link") == child_link:
+            origin.set("rpy", rpy)
+            return
+    raise RobotError(f"the robot description has no joint with an origin above {child_link}")
+
+
+def resolve_meshes(root: ET.Element, base_dir: Path | None, shares: Iterable[Path]) -> str:
+    """Return the URDF's text with every collision mesh's file name made absolute and the visuals left out.
+
+    `package://NAME/REST` is looked for as NAME/REST in each of `shares`; a relative name starts at `base_dir`.
+
+    Raises:
+        RobotError: a mesh that is not there; the text names link and file.
+    """
+    copy = ET.fromstring(ET.tostring(root))
+    folders = list(shares)
+    for link in copy.findall("link"):
+        for visual in link.findall("visual"):
+            link.remove(visual)
+        for mesh in link.findall("collision/geometry/mesh"):
+            name = mesh.get("filename", "")
+            path = _find_mesh(name, base_dir, folders)
+            if path is None:
+                raise RobotError(f"the collision mesh {name!r} of link {link.get('name')} was not found; {_advice(name)}")
+            mesh.set("filename", str(path))
+    return ET.tostring(copy, encoding="unicode")
+
+
+def _find_mesh(name: str, base_dir: Path | None, shares: list[Path]) -> Path | None:
+    address = urlparse(name)
+    if address.scheme in ("package", "model"):
+        candidates = [share / address.netloc / unquote(address.path).lstrip("/") for share in shares]
+    elif address.scheme == "file":
+        candidates = [Path(unquote(address.path))]
+    elif address.scheme or not name:
+        candidates = []
+    else:
+        candidates = [(base_dir or Path()) / name]
+    return next((path.resolve() for path in candidates if path.is_file()), None)
+
+
+def _advice(name: str) -> str:
+    address = urlparse(name)
+    if address.scheme in ("package", "model"):
+        return f"source the workspace that holds the package {address.netloc}, or add its parent folder to ROS_PACKAGE_PATH"
+    if address.scheme in ("", "file"):
+        return "check the path"
+    return f"addresses that begin with {address.scheme}:// are not supported"
