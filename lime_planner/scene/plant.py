@@ -94,7 +94,7 @@ def generate_plant(rng: np.random.Generator, options: PlantOptions | None = None
     options = options or PlantOptions()
     base = np.array(options.position_m, dtype=np.float64)
     half_height = 0.5 * (options.height_m - options.trunk_m)
-    canopy = Canopy(base + [0.0, 0.0, options.trunk_m + half_height], np.array([options.radius_m, options.radius_m, half_height]))
+    canopy = Canopy(base + np.array([0.0, 0.0, options.trunk_m + half_height]), np.array([options.radius_m, options.radius_m, half_height]))
     n_leaves, twigs = DENSITIES[options.density]
     if options.n_leaves is None:
         n_leaves = max(1, round(n_leaves * float(canopy.half_axes.prod()) / _DEFAULT_VOLUME_M3))
@@ -103,7 +103,7 @@ def generate_plant(rng: np.random.Generator, options: PlantOptions | None = None
     skeleton = grow_skeleton(rng, base, options.trunk_m, canopy, twigs)
 
     robot = np.array(options.robot_position_m, dtype=np.float64)
-    front = (robot - base) * [1.0, 1.0, 0.0]
+    front = (robot - base) * np.array([1.0, 1.0, 0.0])
     front = front / max(float(np.linalg.norm(front)), 1e-9)
     centres, radii, stalks = hang_limes(rng, skeleton, canopy, options.n_limes, options.lime_diameter_m, front)
     leaves = _leaves_beside_limes(rng, skeleton, n_leaves, options, centres, radii)

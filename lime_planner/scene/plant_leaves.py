@@ -18,8 +18,10 @@ _HALF_WIDTHS = np.sin(np.pi * _SECTIONS**0.85)  # of an elliptic blade, widest a
 
 #: Corners of a leaf's triangles. 0: base of the blade; 1 to 9: left, midrib, right at each section; 10: tip; 11 to 14: petiole.
 FACES = np.array(
-    [[0, 1, 2], [0, 2, 3], [1, 4, 2], [2, 4, 5], [2, 5, 3], [3, 5, 6], [4, 7, 5], [5, 7, 8], [5, 8, 6], [6, 8, 9]]
-    + [[7, 10, 8], [8, 10, 9], [11, 12, 13], [11, 13, 14]]
+    [
+        *([0, 1, 2], [0, 2, 3], [1, 4, 2], [2, 4, 5], [2, 5, 3], [3, 5, 6], [4, 7, 5], [5, 7, 8], [5, 8, 6], [6, 8, 9]),
+        *([7, 10, 8], [8, 10, 9], [11, 12, 13], [11, 13, 14]),
+    ]
 )
 
 

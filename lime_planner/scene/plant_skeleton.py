@@ -80,7 +80,8 @@ def _buds(rng: np.random.Generator, parents: Float64, order: _Level, first: floa
     before, after = parents[row, segment], parents[row, segment + 1]
     axis = unit(after - before)
     one, two = perpendicular(axis)
-    turn = (np.arange(order.children) * GOLDEN_ANGLE_RAD + rng.uniform(0.0, 2.0 * np.pi, (b, 1)) + rng.normal(0.0, 0.3, fraction.shape))[..., None]
+    turn = np.arange(order.children) * GOLDEN_ANGLE_RAD + rng.uniform(0.0, 2.0 * np.pi, (b, 1)) + rng.normal(0.0, 0.3, fraction.shape)
+    turn = turn[..., None]
     angle = rng.uniform(*order.angle_rad, fraction.shape)[..., None]
     out = np.cos(angle) * axis + np.sin(angle) * (np.cos(turn) * one + np.sin(turn) * two)
     return (before + t * (after - before)).reshape(-1, 3), unit(out).reshape(-1, 3)

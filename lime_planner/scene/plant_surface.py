@@ -28,7 +28,8 @@ def _spread(rng: np.random.Generator, areas: Float64, per_m2: float) -> Int64:
     if not len(edges) or edges[-1] <= 0.0:
         return np.zeros(0, dtype=np.int64)
     n = max(1, round(float(edges[-1]) * per_m2))
-    return np.minimum(np.searchsorted(edges, (np.arange(n) + rng.random(n)) * (edges[-1] / n), side="right"), len(edges) - 1)
+    place = (np.arange(n) + rng.random(n)) * (edges[-1] / n)
+    return np.asarray(np.minimum(np.searchsorted(edges, place, side="right"), len(edges) - 1))
 
 
 def triangle_areas(triangles: npt.NDArray[np.floating]) -> Float64:
@@ -54,7 +55,7 @@ def on_cones(rng: np.random.Generator, starts: Float64, ends: Float64, radii: Fl
     first, second = perpendicular(unit(along))
     radius = radii[index, 0] * (1.0 - t) + radii[index, 1] * t
     around = np.cos(angle)[:, None] * first[index] + np.sin(angle)[:, None] * second[index]
-    return starts[index] + t[:, None] * along[index] + radius[:, None] * around
+    return np.asarray(starts[index] + t[:, None] * along[index] + radius[:, None] * around)
 
 
 def on_spheres(rng: np.random.Generator, centres: Float64, radii: Float64, per_m2: float) -> Float64:

@@ -21,7 +21,7 @@ Float64 = npt.NDArray[np.float64]
 MAX_APPROACH_RAD = np.pi / 4.0
 CORRIDOR_RADIUS_M = 0.05  #: half the width of what a hand sweeps on its way in
 CORRIDOR_M = 0.20  #: how far out from the lime the way in is judged
-HIDDEN_REACH_M = 0.75  #: the target of a plant is chosen within this distance of the base if any lime is
+HIDDEN_REACH_M = 0.85  #: the target of a plant is chosen within this distance of the base if any lime is
 _DIRECTIONS = 48
 
 
@@ -69,20 +69,29 @@ def lime_targets(scene: Scene, rng: np.random.Generator, *, base_position: npt.A
 
 
 def hidden_lime_target(scene: Scene, rng: np.random.Generator, *, base_position: npt.ArrayLike = (0.0, 0.0, 0.0)) -> Float64 | None:
-    """Return the grasp pose (7,) of the lime with the most leaf points on its way in among those with a way free of stems.
+    """Return the grasp pose (7,) of the lime that is best hidden among leaves on the robot's side; None without limes.
 
-    Limes within `HIDDEN_REACH_M` of the base come first. None when the scene has no limes.
+    Limes within `HIDDEN_REACH_M` of the base come first, then those that have a way in free of stems, then the one with the most
+    leaf points on its ways in (the median over them). Of these ways, those with at least the median of leaf points remain, and
+    the one nearest to the ray from the base is taken: the hand cannot help meeting leaves.
     """
     if scene.fruit_centres is None or not len(scene.fruit_centres):
         return None
-    poses = lime_targets(scene, rng, base_position=base_position)
     leaves, stems = cKDTree(scene.leaf_points), cKDTree(scene.stem_points)
-    keys = []
-    for pose in poses:
-        direction = Rotation.from_quat(pose[3:]).as_matrix()[None, :, 2]
-        far = np.linalg.norm(pose[:3] - np.asarray(base_position)) > HIDDEN_REACH_M
-        keys.append((far, int(_in_corridor(stems, pose[:3], direction)[0]), -int(_in_corridor(leaves, pose[:3], direction)[0])))
-    return poses[min(range(len(poses)), key=keys.__getitem__)]
+    base = np.asarray(base_position, dtype=np.float64)
+    best: tuple[tuple[bool, int, float], Float64, Float64] | None = None
+    for centre in scene.fruit_centres.astype(np.float64):
+        directions = approach_directions(rng, centre, _DIRECTIONS, base_position=base)
+        blocked, touched = _in_corridor(stems, centre, directions), _in_corridor(leaves, centre, directions)
+        open_ways = blocked == blocked.min()
+        directions, touched = directions[open_ways], touched[open_ways]
+        middle = float(np.median(touched))
+        key = (bool(np.linalg.norm(centre - base) > HIDDEN_REACH_M), int(blocked.min()), -middle)
+        if best is None or key < best[0]:
+            leafy = directions[touched >= middle]
+            best = (key, centre, leafy[np.argmax(leafy @ unit(centre - base))])
+    assert best is not None
+    return grasp_pose(best[1], best[2], float(rng.uniform(0.0, 2.0 * np.pi)))
 
 
 def canopy_targets(
