@@ -8,8 +8,6 @@ An `.npz` holds `points` (N, 3) [m] and `labels` (N,), and optionally `permeabil
 from __future__ import annotations
 
 import os
-import zipfile
-import zlib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -18,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lime_planner.errors import SceneError
+from lime_planner.scene.ply_pcd import read_cloud, write_cloud
 from lime_planner.scene.scene import DEFAULT_FRAME, FRUIT, LEAF, STEM, Scene
 
 SUFFIXES = (".npz", ".ply", ".pcd")
@@ -62,7 +61,7 @@ def load_scene(
         raise SceneError(f"{path}: a scene file ends in one of {', '.join(SUFFIXES)}, not in {suffix or 'nothing'!r}")
     if not path.is_file():
         raise SceneError(f"{path}: there is no such file")
-    members = _read_npz(path)
+    members = _read_npz(path) if suffix == ".npz" else read_cloud(path, label_field)
     if not len(members["points"]):
         raise SceneError(f"{path}: holds no points")
     frame = str(members.pop("frame_id", default_frame)) or default_frame
@@ -85,7 +84,7 @@ def load_scene(
 
 
 def save_scene(path: str | os.PathLike[str], scene: Scene) -> None:
-    """Write a scene; a reader never sees half a file.
+    """Write a scene; a reader never sees half a file. PLY and PCD keep the points, their labels and costs, and nothing else.
 
     Raises:
         SceneError: the suffix is unknown or the file cannot be written.
@@ -97,7 +96,11 @@ def save_scene(path: str | os.PathLike[str], scene: Scene) -> None:
     temporary = path.with_name(f".{path.stem}-{os.getpid()}{suffix}")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        _write_npz(temporary, scene)
+        if suffix == ".npz":
+            _write_npz(temporary, scene)
+        else:
+            points, labels, costs = labelled_points(scene)
+            write_cloud(temporary, points, labels, costs if (costs != 1.0).any() else None)
         os.replace(temporary, path)
     except OSError as error:
         raise SceneError(f"{path}: cannot be written ({error.strerror or error})") from error
@@ -127,8 +130,8 @@ def _read_npz(path: Path) -> Members:
                     members[name] = archive[name]
     except SceneError:
         raise
-    except (OSError, ValueError, EOFError, KeyError, AttributeError, MemoryError, zipfile.BadZipFile, zlib.error) as error:
-        raise SceneError(f"{path}: is not a readable .npz file ({error})") from error
+    except Exception as error:  # a damaged file makes zipfile, zlib, tokenize and NumPy raise a dozen kinds
+        raise SceneError(f"{path}: is not a readable .npz file ({type(error).__name__}: {error})") from error
     return members
 
 
