@@ -96,7 +96,7 @@ class Trajectory:
 
     def times(self) -> Array:
         """Return the time of every point after the start [s], (K,)."""
-        return self.first_time_s + self.dt_s * np.arange(len(self.positions))
+        return np.asarray(self.first_time_s + self.dt_s * np.arange(len(self.positions)), dtype=np.float64)
 
     def sample(self, t_s: npt.ArrayLike) -> Array:
         """Return the configuration at the times t_s [rad]: (n,) for one time, (R, n) for R of them.
@@ -114,7 +114,8 @@ class Trajectory:
         last = len(self.positions) - 1
         u = (t.reshape(-1) - self.first_time_s) / self.dt_s
         if last == 0:
-            return np.broadcast_to(np.zeros_like(self.positions[0]) if derivative else self.positions[0], (*t.shape, len(self.joint_names))).copy()
+            value = np.zeros_like(self.positions[0]) if derivative else self.positions[0]
+            return np.broadcast_to(value, (*t.shape, len(value))).copy()
         index = np.clip(np.floor(u), 0, last - 1).astype(np.int64)
         x = np.clip(u - index, 0.0, 1.0)[:, None]
         p0, p1 = self.positions[index], self.positions[index + 1]
