@@ -46,10 +46,10 @@ class BuiltinArm:
         return tuple(f"{self.prefix}_joint_{i}" for i in range(1, 7))
 
 
-# Kinova's own home position of both arms: 275.5°, 162.9°, 75.8°, 265.5°, 120°, 90° (spherical wrist) and 283°, 162°, 43°, 265°, 257°, 288°.
+# The second is the non-spherical arm's home in the driver's examples: 275°, 167°, 57°, 241°, 83°, 75°.
 BUILTIN_ARMS: dict[str, BuiltinArm] = {
     "kinova_j2s6s200": BuiltinArm("j2s6s200", (4.7124, 2.8444, 1.3230, 4.6331, 2.0944, 1.5708), "kinova_description/robots/kinova.urdf"),
-    "kinova_j2n6s300": BuiltinArm("j2n6s300", (4.9393, 2.8274, 0.7505, 4.6251, 4.4855, 5.0265), None),
+    "kinova_j2n6s300": BuiltinArm("j2n6s300", (4.7997, 2.9147, 0.9948, 4.2062, 1.4486, 1.3090), None),
 }
 
 

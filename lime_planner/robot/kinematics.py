@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from lime_planner.jit import kernel
+from lime_planner.jit import hot_kernel, kernel
 
 Array = npt.NDArray[np.float64]
 
@@ -70,7 +70,7 @@ def _z_to(axis: Array) -> Array:
     return np.column_stack([x, np.cross(z, x), z])
 
 
-@kernel
+@hot_kernel
 def sine_cosine(angle: float) -> tuple[float, float]:
     """Return sine and cosine together, to 3e-16 for |angle| below 1e5 rad.
 
@@ -103,7 +103,7 @@ def sine_cosine(angle: float) -> tuple[float, float]:
     return sine, cosine
 
 
-@kernel
+@hot_kernel
 def forward_kinematics(chain: Chain, q: Array, poses: Array) -> None:
     """Write the pose of every joint frame.
 
@@ -155,7 +155,7 @@ def forward_kinematics(chain: Chain, q: Array, poses: Array) -> None:
         out[2, 0], out[2, 1], out[2, 2], out[2, 3] = r20, r21, r22, pz
 
 
-@kernel
+@hot_kernel
 def tool_pose(chain: Chain, poses: Array, out: Array) -> None:
     """Write the tool's pose T_base_tool (3, 4) from the poses of `forward_kinematics`."""
     last = poses[poses.shape[0] - 1]
@@ -166,7 +166,7 @@ def tool_pose(chain: Chain, poses: Array, out: Array) -> None:
         out[r, 3] += last[r, 3]
 
 
-@kernel
+@hot_kernel
 def point_jacobian(chain: Chain, poses: Array, joint: int, x: float, y: float, z: float, out: Array) -> None:
     """Write the (3, n) Jacobian of a point at (x, y, z) in the base frame that moves with joint frame `joint` [m/rad].
 
@@ -185,7 +185,7 @@ def point_jacobian(chain: Chain, poses: Array, joint: int, x: float, y: float, z
             out[0, i], out[1, i], out[2, i] = ax, ay, az
 
 
-@kernel
+@hot_kernel
 def tool_jacobian(chain: Chain, poses: Array, out: Array) -> None:
     """Write the tool frame's Jacobian (6, n): linear velocity first [m/rad], then angular [-], both in the base frame's axes."""
     n = out.shape[1]

@@ -100,6 +100,7 @@ def read_tree(
     import pinocchio as pin
 
     joints = _Joints(root)
+    _check_names(joints, joint_names or ())
     tool_frame = tool_frame or _default_tool(joints, joint_names)
     if tool_frame not in joints.links:
         raise RobotError(f"the tool frame {tool_frame!r} is not a link of the robot; links are {', '.join(joints.links)}")
@@ -128,6 +129,21 @@ def read_tree(
     )
 
 
+def _check_names(joints: _Joints, wanted: Sequence[str]) -> None:
+    turning = [name for name, joint in joints.by_name.items() if joint.get("type") in ("revolute", "continuous")]
+    for name in wanted:
+        joint = joints.by_name.get(name)
+        if joint is None:
+            raise RobotError(f"the arm joint {name!r} is not in the robot description; joints that turn are {', '.join(turning)}")
+        if joint.find("mimic") is not None:
+            raise RobotError(f"the arm joint {name} mimics another joint and cannot be commanded")
+        if name not in turning:
+            kind = joint.get("type")
+            raise RobotError(f"the arm joint {name} is {kind}; arm joints must turn (revolute or continuous): leave it out to lock it")
+    if len(set(wanted)) != len(wanted):
+        raise RobotError(f"an arm joint is named twice: {', '.join(wanted)}")
+
+
 def _default_tool(joints: _Joints, joint_names: Sequence[str] | None) -> str:
     """Return the deepest link with the most moving joints above it (beyond the last named joint, if named)."""
     candidates = joints.links
@@ -154,18 +170,8 @@ def _choose_joints(joints: _Joints, wanted: Sequence[str] | None, tool_frame: st
             raise RobotError(f"no joint turns between the planning frame and the tool frame {tool_frame}")
         return names
     for name in wanted:
-        joint = joints.by_name.get(name)
-        if joint is None:
-            raise RobotError(f"the arm joint {name!r} is not in the robot description; joints that turn are {', '.join(to_tool)}")
-        if joint.find("mimic") is not None:
-            raise RobotError(f"the arm joint {name} mimics another joint and cannot be commanded")
-        if joint.get("type") not in ("revolute", "continuous"):
-            kind = joint.get("type")
-            raise RobotError(f"the arm joint {name} is {kind}; arm joints must turn (revolute or continuous): leave it out to lock it")
         if name not in to_tool:
             raise RobotError(f"the arm joint {name} is not on the way to {tool_frame}; the joints that turn there are {', '.join(to_tool)}")
-    if len(set(wanted)) != len(wanted):
-        raise RobotError(f"an arm joint is named twice: {', '.join(wanted)}")
     ordered = [name for name in to_tool if name in wanted]
     if ordered != list(wanted):
         raise RobotError(f"the arm joints must be named from base to tool: {', '.join(ordered)}")

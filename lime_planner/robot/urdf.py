@@ -27,7 +27,7 @@ def parse_urdf(text: str) -> ET.Element:
         raise RobotError(f"the robot description is not well-formed XML: {error}") from error
     if root.tag != "robot":
         raise RobotError(f"the robot description's outermost element is <{root.tag}>, not <robot>")
-    if any(isinstance(e.tag, str) and "xacro" in e.tag for e in root.iter()):
+    if "<xacro:" in text:
         raise RobotError("the robot description still holds xacro elements: run xacro on it first")
     links = _names(root, "link")
     _names(root, "joint")
@@ -51,7 +51,8 @@ def parse_urdf(text: str) -> ET.Element:
         for geometry in link_element.findall("collision/geometry"):
             kinds = [child.tag for child in geometry]
             if len(kinds) != 1 or kinds[0] not in _SHAPES:
-                raise RobotError(f"link {link_element.get('name')} has the collision shape {kinds}; it must be one of {', '.join(_SHAPES)}")
+                found = " and ".join(kinds) or "nothing"
+                raise RobotError(f"link {link_element.get('name')} has the collision shape {found}; it must be one of {', '.join(_SHAPES)}")
     return root
 
 
