@@ -1,0 +1,286 @@
+"""The one place from which a motion leaves, and the watch over it until the arm rests.
+
+`send` checks everything that must hold at that moment; `stop` may come from any thread at any time; `on_state` and `tick` are
+called by the executor while a motion runs. A motion is never sent while another runs.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from lime_planner.motion.trajectory import Trajectory
+from lime_planner.ros.joints import ArmState, JointHistory
+from lime_planner.ros.params import Snapshot
+from lime_planner.ros.refusal import Refusal
+from lime_planner.status import Status
+
+Array = npt.NDArray[np.float64]
+
+#: Silence that stops a motion where the joint states' age is not limited by a parameter [s].
+SILENCE_S = 1.0
+
+
+@dataclass(frozen=True)
+class Motion:
+    """A motion that was sent.
+
+    Attributes:
+        plan_id: the request it belongs to.
+        result: the plan, as the pipeline returned it.
+        trajectory: what was sent.
+        started_s: monotonic time of sending.
+        snapshot: the parameters of the plan.
+        T_base_tool: the target it leads to, or on a retreat away from, (4, 4).
+        retreat: whether it leads back along an earlier one.
+        replans_left: how often it may be planned again if it is aborted.
+        context: the request's context (its target).
+    """
+
+    plan_id: int
+    result: Any
+    trajectory: Trajectory
+    started_s: float
+    snapshot: Snapshot
+    T_base_tool: Array | None = None
+    retreat: bool = False
+    replans_left: int = 0
+    context: Mapping[str, Any] = field(default_factory=dict)
+
+    def elapsed_s(self) -> float:
+        """Time since sending [s]."""
+        return time.monotonic() - self.started_s
+
+
+@dataclass(frozen=True)
+class Ended:
+    """How a motion ended."""
+
+    motion: Motion
+    status: Status
+    sentence: str
+
+
+#: Makes the stop: (motion or None, time since its start [s], newest measured configuration or None) -> what to send, or None.
+StopMaker = Callable[[Motion | None, float, Array | None], Trajectory | None]
+
+
+class Execution:
+    """Sends motions, watches the one that runs, stops it."""
+
+    def __init__(
+        self,
+        joints: JointHistory,
+        publish: Callable[[Trajectory], None],
+        subscribers: Callable[[], int],
+        make_stop: StopMaker,
+        on_end: Callable[[Ended], None],
+    ) -> None:
+        """Make an execution at rest.
+
+        Args:
+            joints: the measured states.
+            publish: puts a trajectory on the wire.
+            subscribers: how many listen to the motion command.
+            make_stop: the controller's way of stopping.
+            on_end: is told about each motion's end, once, from whichever thread notices.
+        """
+        self._joints = joints
+        self._publish = publish
+        self._subscribers = subscribers
+        self._make_stop = make_stop
+        self._on_end = on_end
+        self._lock = threading.RLock()
+        self._motion: Motion | None = None
+        self._stopping: tuple[Motion, Status, str, float] | None = None
+        self._last: Motion | None = None
+
+    @property
+    def motion(self) -> Motion | None:
+        """The motion that runs (not one that is being stopped)."""
+        return self._motion
+
+    @property
+    def active(self) -> bool:
+        """Whether a motion runs or has not come to rest after its stop."""
+        with self._lock:
+            return self._motion is not None or self._stopping is not None
+
+    @property
+    def stopping(self) -> bool:
+        """Whether a stop was sent and the arm does not rest yet."""
+        return self._stopping is not None
+
+    @property
+    def last(self) -> Motion | None:
+        """The newest motion that was sent, running or not; what a retreat goes back along."""
+        return self._last
+
+    def forget_last(self) -> None:
+        """Nothing to retreat along any more."""
+        self._last = None
+
+    def send(
+        self, plan_id: int, result: Any, trajectory: Trajectory, snapshot: Snapshot, commit: Callable[[], bool], **more: Any
+    ) -> Motion | None:
+        """Check once more and send.
+
+        Args:
+            plan_id: the request.
+            result: its plan.
+            trajectory: what to send; its first point is where planning began.
+            snapshot: the parameters of the plan.
+            commit: the request's point of no return; False when it was answered meanwhile, then nothing is sent.
+            **more: further attributes of `Motion`.
+
+        Returns:
+            The motion, or None when the request was answered meanwhile.
+
+        Raises:
+            Refusal: MOTION_DISABLED, ARM_MOVING, STALE_INPUT and its kin, NO_CONTROLLER.
+        """
+        node = snapshot.node
+        with self._lock:
+            if not node.motion_enabled:
+                raise Refusal(Status.MOTION_DISABLED, "planned and published, but not sent, because motion_enabled is false")
+            if self._motion is not None or self._stopping is not None:
+                raise Refusal(Status.ARM_MOVING, "another motion has not ended")
+            state = self._joints.fresh(node.max_joint_state_age_s, node.max_clock_skew_s)
+            self._check_start(state.q, trajectory, node.start_tolerance_rad)
+            if self._subscribers() == 0:
+                raise Refusal(Status.NO_CONTROLLER, "nobody subscribes to joint_trajectory")
+            if not commit():
+                return None
+            self._publish(trajectory)
+            self._motion = self._last = Motion(plan_id, result, trajectory, time.monotonic(), snapshot, **more)
+            return self._motion
+
+    def _check_start(self, q: Array, trajectory: Trajectory, tolerance_rad: float) -> None:
+        off = np.abs(q - trajectory.positions[0])  # without turns removed: the controller takes the angles literally
+        worst = int(off.argmax())
+        if off[worst] > tolerance_rad:
+            raise Refusal(
+                Status.ARM_MOVING,
+                f"{trajectory.joint_names[worst]} is {off[worst]:.3f} rad from where planning began, the limit is {tolerance_rad:g} rad",
+            )
+
+    def stop(self, status: Status, sentence: str) -> bool:
+        """Stop what runs; the command is on the wire on return. False when nothing of ours runs.
+
+        Args:
+            status: the motion's `execution_code`.
+            sentence: why.
+        """
+        with self._lock:
+            motion = self._motion
+            if motion is None:
+                return self._stopping is not None
+            state = self._joints.newest
+            command = self._make_stop(motion, motion.elapsed_s(), None if state is None else state.q)
+            if command is not None:
+                self._publish(command)
+            self._motion = None
+            self._stopping = (motion, status, sentence, time.monotonic())
+            return True
+
+    def hold_foreign_motion(self, snapshot: Snapshot) -> bool:
+        """Send a hold when the arm moves although nothing of ours runs (a motion from before a restart, say)."""
+        node = snapshot.node
+        with self._lock:
+            state = self._joints.newest
+            if self.active or state is None or not node.motion_enabled or state.age_s(time.monotonic()) > SILENCE_S:
+                return False
+            if not self._joints.moving(node.stillness_time_s, node.stillness_rad):
+                return False
+            command = self._make_stop(None, 0.0, state.q)
+            if command is not None:
+                self._publish(command)
+            return command is not None
+
+    def on_state(self, state: ArmState) -> None:
+        """Compare a new measurement with the plan."""
+        with self._lock:
+            motion = self._motion
+            if motion is None:
+                return
+            node = motion.snapshot.node
+            elapsed_s = state.arrival_s - motion.started_s
+            if elapsed_s < 0.0:
+                return
+            off, joint = deviation(motion.trajectory, state.q, elapsed_s, node.execution_lag_s)
+            if off > node.execution_tolerance_rad:
+                name, limit = motion.trajectory.joint_names[joint], node.execution_tolerance_rad
+                sentence = f"{name} is {off:.3f} rad from the plan at {elapsed_s:.2f} s, the limit is {limit:g} rad"
+                self.stop(Status.EXECUTION_DEVIATED, sentence)
+
+    def tick(self) -> None:
+        """Notice silence, the end, and rest after a stop; to be called some 20 times a second."""
+        ended: Ended | None = None
+        with self._lock:
+            if self._stopping is not None:
+                ended = self._rest_after_stop()
+            elif self._motion is not None:
+                ended = self._look_at(self._motion)
+        if ended is not None:
+            self._on_end(ended)
+
+    def _rest_after_stop(self) -> Ended | None:
+        assert self._stopping is not None
+        motion, status, sentence, since_s = self._stopping
+        node = motion.snapshot.node
+        waited_s = time.monotonic() - since_s
+        rests = waited_s >= node.stillness_time_s and self._joints.still(node.stillness_time_s, node.stillness_rad)
+        if not rests and waited_s < node.stillness_timeout_s:
+            return None
+        self._stopping = None
+        more = "" if rests else f"; it could not be seen to rest within {node.stillness_timeout_s:g} s"
+        return Ended(motion, status, sentence + more)
+
+    def _look_at(self, motion: Motion) -> Ended | None:
+        node = motion.snapshot.node
+        state = self._joints.newest
+        limit_s = node.max_joint_state_age_s or SILENCE_S
+        silent_s = motion.elapsed_s() if state is None else min(state.age_s(time.monotonic()), motion.elapsed_s() + limit_s)
+        if silent_s > limit_s:
+            sentence = f"the joint states fell silent for {silent_s:.2f} s during the motion, the limit is {limit_s:g} s"
+            self.stop(Status.STALE_INPUT, sentence)
+            return None
+        late_s = motion.elapsed_s() - motion.trajectory.duration_s
+        if late_s < 0.0 or state is None:
+            return None
+        off = float(np.abs(state.q - motion.trajectory.positions[-1]).max())
+        if off <= node.goal_tolerance_rad and self._joints.still(node.stillness_time_s, node.stillness_rad):
+            self._motion = None
+            return Ended(motion, Status.SUCCEEDED, f"the arm rests {off:.4f} rad from the planned end after {motion.elapsed_s():.2f} s")
+        if late_s > node.goal_time_s:
+            self.stop(
+                Status.EXECUTION_DEVIATED,
+                f"{late_s:.2f} s after the motion's end the arm is {off:.3f} rad from its last point, "
+                f"the limit is {node.goal_tolerance_rad:g} rad, at rest",
+            )
+        return None
+
+
+def deviation(trajectory: Trajectory, q: Array, elapsed_s: float, lag_s: float) -> tuple[float, int]:
+    """Return the largest joint difference to the best fitting moment of the last `lag_s` seconds of the plan.
+
+    Args:
+        trajectory: the plan.
+        q: measured configuration, (n,) [rad].
+        elapsed_s: time since sending [s].
+        lag_s: how far the arm may be late [s].
+
+    Returns:
+        The difference [rad] and the index of the joint that has it.
+    """
+    times_s = np.linspace(max(elapsed_s - lag_s, 0.0), elapsed_s, 16)
+    off = np.abs(trajectory.sample(times_s) - q)
+    best = int(off.max(axis=1).argmin())
+    joint = int(off[best].argmax())
+    return float(off[best, joint]), joint

@@ -1,0 +1,143 @@
+"""Where a cloud's or a target's frame is, seen from the planning frame: from tf2 where it is installed, else from parameters."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from typing import Any, Protocol
+
+import numpy as np
+import numpy.typing as npt
+from builtin_interfaces.msg import Time
+from rclpy.time import Time as RosTime
+
+from lime_planner.errors import ParameterError, ProblemError
+from lime_planner.poses import pose_to_matrix
+from lime_planner.ros.refusal import Refusal
+from lime_planner.status import Status
+
+Array = npt.NDArray[np.float64]
+
+
+class Frames(Protocol):
+    """What the node needs to know about frames."""
+
+    def lookup(self, target: str, source: str, stamp: Time, timeout_s: float, should_stop: Callable[[], bool]) -> Array:
+        """Return T_target_source (4, 4) at `stamp`.
+
+        Args:
+            target: frame of the result.
+            source: frame of the data.
+            stamp: time of the data; zero for the newest known.
+            timeout_s: how long to wait for a transform that has not arrived yet.
+            should_stop: ends the wait early.
+
+        Raises:
+            Refusal: TF_ERROR naming both frames.
+        """
+        ...
+
+
+def clean_name(frame: str) -> str:
+    """Return a frame's name without the leading slash of old publishers."""
+    return frame.strip().lstrip("/")
+
+
+class StaticFrames:
+    """Transforms that never change, chained over any number of frames."""
+
+    def __init__(self, transforms: Sequence[str] = ()) -> None:
+        """Read the transforms.
+
+        Args:
+            transforms: `parent child x y z qx qy qz qw` each, T_parent_child in metres.
+
+        Raises:
+            ParameterError: an entry that cannot be read.
+        """
+        self._neighbours: dict[str, dict[str, Array]] = {}
+        for text in transforms:
+            words = text.replace(",", " ").split()
+            try:
+                if len(words) != 9:
+                    raise ValueError(f"{len(words)} words instead of 9")
+                T_parent_child = pose_to_matrix([float(word) for word in words[2:]])
+            except (ValueError, ProblemError) as error:
+                raise ParameterError(f"static_transforms: {text!r} is not `parent child x y z qx qy qz qw` ({error})") from None
+            parent, child = clean_name(words[0]), clean_name(words[1])
+            self._neighbours.setdefault(parent, {})[child] = T_parent_child
+            self._neighbours.setdefault(child, {})[parent] = np.asarray(np.linalg.inv(T_parent_child), dtype=np.float64)
+
+    def find(self, target: str, source: str) -> Array | None:
+        """Return T_target_source (4, 4), or None where no chain connects them."""
+        target, source = clean_name(target), clean_name(source)
+        reached = {target: np.eye(4)}
+        front = [target]
+        while front and source not in reached:
+            following = []
+            for frame in front:
+                for neighbour, T_frame_neighbour in self._neighbours.get(frame, {}).items():
+                    if neighbour not in reached:
+                        reached[neighbour] = reached[frame] @ T_frame_neighbour
+                        following.append(neighbour)
+            front = following
+        return reached.get(source)
+
+    def lookup(self, target: str, source: str, stamp: Time, timeout_s: float, should_stop: Callable[[], bool]) -> Array:
+        """See `Frames.lookup`; nothing is waited for."""
+        found = self.find(target, source)
+        if found is None:
+            known = ", ".join(sorted(self._neighbours)) or "none"
+            raise Refusal(
+                Status.TF_ERROR,
+                f"no transform from {source!r} to {target!r}; tf2 is not there and static_transforms knows the frames: {known}",
+            )
+        return found
+
+
+class TfFrames:
+    """tf2's buffer, polled from the worker's thread; the static transforms come first."""
+
+    def __init__(self, buffer: Any, static: StaticFrames, *, poll_s: float = 0.01) -> None:
+        """Wrap a buffer.
+
+        Args:
+            buffer: a `tf2_ros.Buffer`, or anything with its `lookup_transform(target, source, time)`.
+            static: transforms from parameters.
+            poll_s: pause between two looks [s].
+        """
+        self._buffer = buffer
+        self._static = static
+        self._poll_s = poll_s
+
+    def lookup(self, target: str, source: str, stamp: Time, timeout_s: float, should_stop: Callable[[], bool]) -> Array:
+        """See `Frames.lookup`."""
+        found = self._static.find(target, source)
+        if found is not None:
+            return found
+        deadline = time.monotonic() + timeout_s
+        while True:
+            try:
+                t = self._buffer.lookup_transform(clean_name(target), clean_name(source), RosTime.from_msg(stamp)).transform
+                p, r = t.translation, t.rotation
+                return pose_to_matrix([p.x, p.y, p.z, r.x, r.y, r.z, r.w])
+            except Exception as error:  # tf2's own exceptions share no base with anything importable here
+                if time.monotonic() >= deadline or should_stop():
+                    raise Refusal(Status.TF_ERROR, f"no transform from {source!r} to {target!r} within {timeout_s:g} s: {error}") from None
+            time.sleep(self._poll_s)
+
+
+def make_frames(node: Any, transforms: Sequence[str]) -> Frames:
+    """Return tf2's view where tf2_ros can be imported, otherwise the static one.
+
+    Raises:
+        ParameterError: see `StaticFrames`.
+    """
+    static = StaticFrames(transforms)
+    try:
+        import tf2_ros  # type: ignore[import-not-found,unused-ignore]
+    except ImportError:
+        return static
+    buffer = tf2_ros.Buffer(node=node)
+    node.tf_listener = tf2_ros.TransformListener(buffer, node)  # the node keeps it alive
+    return TfFrames(buffer, static)

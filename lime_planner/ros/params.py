@@ -1,0 +1,138 @@
+"""The parameter table as ROS parameters: declared with descriptions and ranges, checked on set, one snapshot for each plan."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
+from rclpy.node import Node
+from rclpy.parameter import Parameter as RosParameter
+
+from lime_planner.errors import ParameterError
+from lime_planner.parameters import NODE_PARAMETERS, PARAMETERS, Parameter, Settings, settings_from, validate
+
+_TABLE = {**PARAMETERS, **NODE_PARAMETERS}
+_ARRAYS = {int: RosParameter.Type.INTEGER_ARRAY, float: RosParameter.Type.DOUBLE_ARRAY, str: RosParameter.Type.STRING_ARRAY}
+
+
+@dataclass(frozen=True)
+class NodeSettings:
+    """One consistent set of the node's own parameters; names, units and meanings are those of `NODE_PARAMETERS`."""
+
+    motion_enabled: bool
+    allow_empty_stem_cloud: bool
+    max_cloud_age_s: float
+    max_joint_state_age_s: float
+    max_target_age_s: float
+    label_field: str
+    leaf_labels: tuple[int, ...]
+    stem_labels: tuple[int, ...]
+    fruit_labels: tuple[int, ...]
+    ignored_labels: tuple[int, ...]
+    max_cloud_skew_s: float
+    max_clock_skew_s: float
+    static_transforms: tuple[str, ...]
+    tf_timeout_s: float
+    warm_up_timeout_s: float
+    controller: str
+    start_tolerance_rad: float
+    stillness_rad: float
+    stillness_time_s: float
+    stillness_timeout_s: float
+    execution_tolerance_rad: float
+    execution_lag_s: float
+    goal_tolerance_rad: float
+    goal_time_s: float
+    replan_attempts: int
+    viewer_port: int
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """All parameters at one moment: what the pipeline gets and what the node keeps for itself."""
+
+    plan: Settings
+    node: NodeSettings
+
+
+def snapshot_from(values: Mapping[str, Any]) -> Snapshot:
+    """Make a snapshot of some parameters, the defaults for the rest.
+
+    Raises:
+        ParameterError: unknown name, wrong type, out of range, or values that contradict each other.
+    """
+    checked = {name: validate(name, value) for name, value in values.items()}
+    node = {name: checked.get(name, parameter.default) for name, parameter in NODE_PARAMETERS.items()}
+    frozen: dict[str, Any] = {name: tuple(value) if isinstance(value, list) else value for name, value in node.items()}
+    both = [f"{name} {label}" for name in ("stem_labels", "ignored_labels") for label in frozen[name] if label in frozen["leaf_labels"]]
+    if both:
+        raise ParameterError(f"leaf_labels repeats a class of {', '.join(both)}; a class has one meaning")
+    return Snapshot(settings_from({name: value for name, value in checked.items() if name in PARAMETERS}), NodeSettings(**frozen))
+
+
+class NodeParameters:
+    """Declares the table on a node and keeps the current `Snapshot`."""
+
+    def __init__(self, node: Node) -> None:
+        """Declare everything.
+
+        Raises:
+            ParameterError: a value given at start (file, command line) is not allowed.
+        """
+        self._node = node
+        given = {name: parameter.value for name, parameter in node._parameter_overrides.items() if name in _TABLE}
+        self._snapshot = snapshot_from(given)
+        for name, parameter in _TABLE.items():
+            # Given values were checked above and are put into the table's own type: 1 is a fine duration in a file.
+            value = validate(name, given.get(name, parameter.default))
+            node.declare_parameter(name, value, _descriptor(parameter), ignore_override=True)
+            if value == [] and not parameter.read_only:
+                node.set_parameters([RosParameter(name, _ARRAYS[parameter.element], value)])  # rclpy takes [] for bytes
+        node.add_on_set_parameters_callback(self._check)
+        node.add_post_set_parameters_callback(self._apply)
+
+    @property
+    def snapshot(self) -> Snapshot:
+        """The parameters as they are now; immutable, so that one plan sees one set."""
+        return self._snapshot
+
+    def _merged(self, changed: Sequence[RosParameter]) -> dict[str, Any]:
+        values = {name: self._node.get_parameter(name).value for name in _TABLE}
+        values.update({parameter.name: parameter.value for parameter in changed if parameter.name in _TABLE})
+        return {name: list(value) if _TABLE[name].kind is list else value for name, value in values.items()}
+
+    def _check(self, changed: Sequence[RosParameter]) -> SetParametersResult:
+        try:
+            snapshot_from(self._merged(changed))
+        except ParameterError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        except TypeError:
+            names = ", ".join(parameter.name for parameter in changed)
+            return SetParametersResult(successful=False, reason=f"{names}: the value cannot be removed")
+        return SetParametersResult(successful=True)
+
+    def _apply(self, changed: Sequence[RosParameter]) -> None:
+        self._snapshot = snapshot_from(self._merged(changed))
+
+
+def _descriptor(parameter: Parameter) -> ParameterDescriptor:
+    unit = f" [{parameter.unit}]" if parameter.unit else ""
+    descriptor = ParameterDescriptor(
+        description=f"{parameter.description}{unit}",
+        additional_constraints="" if parameter.range_text == "any" else parameter.range_text,
+        read_only=parameter.read_only,
+        # Our own check is the stricter one, and it takes the 1 for the 1.0 that people write.
+        dynamic_typing=True,
+    )
+    low, high = parameter.minimum, parameter.maximum
+    if parameter.kind is float and (low is not None or high is not None):
+        from_value = float(-sys.float_info.max if low is None else low)
+        to_value = float(sys.float_info.max if high is None else high)
+        descriptor.floating_point_range = [FloatingPointRange(from_value=from_value, to_value=to_value)]
+    elif parameter.kind is int and (low is not None or high is not None):
+        from_int, to_int = int(-(2**63) if low is None else low), int(2**63 - 1 if high is None else high)
+        descriptor.integer_range = [IntegerRange(from_value=from_int, to_value=to_int)]
+    return descriptor

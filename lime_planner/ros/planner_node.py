@@ -1,0 +1,293 @@
+"""The planner as a ROS 2 node: topics, services and timers, wired to the parts that do the work.
+
+Threads: the executor's (callbacks, all short), the worker's (one request at a time), the engine's (loading and compiling) and
+the stem watch's. Services are coroutines: they hand a request to the worker and wait for its answer without holding the executor.
+"""
+
+from __future__ import annotations
+
+import sys
+import traceback
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import rclpy
+from builtin_interfaces.msg import Time
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PoseStamped
+from nav_msgs.msg import Path
+from nav_msgs.srv import GetPlan
+from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.node import Node
+from rclpy.task import Future
+from sensor_msgs.msg import JointState, PointCloud2
+from std_msgs.msg import String
+from std_srvs.srv import Trigger
+from trajectory_msgs.msg import JointTrajectory
+from visualization_msgs.msg import MarkerArray
+
+from lime_planner.errors import LimePlannerError
+from lime_planner.ros import qos
+from lime_planner.ros.answers import answer_message, log_line
+from lime_planner.ros.arm_filter import make_arm_filter
+from lime_planner.ros.board import Board
+from lime_planner.ros.convert import to_joint_trajectory, to_path
+from lime_planner.ros.engine import FROM_TOPIC, Builder, Engine, Loaded, build
+from lime_planner.ros.execution import Ended, Execution
+from lime_planner.ros.frames import make_frames
+from lime_planner.ros.inputs import CLOUDS, Inputs
+from lime_planner.ros.markers import markers
+from lime_planner.ros.params import NodeParameters
+from lime_planner.ros.requests import Requests, Shown
+from lime_planner.ros.runner import run_node
+from lime_planner.ros.scene_source import SceneSource
+from lime_planner.ros.status import Phase, health_message
+from lime_planner.ros.stops import make_stop
+from lime_planner.ros.watch import StemWatch, make_look
+from lime_planner.ros.worker import Answer, Ticket, Worker
+from lime_planner.status import Status
+
+#: Python hands the interpreter from one thread to another this often [s]: callbacks wait less for the worker's Python.
+_SWITCH_INTERVAL_S = 0.001
+_WATCH_PERIOD_S = 0.02
+_OFFERS_PERIOD_S = 0.5
+_WARNING_PERIOD_S = 5.0
+
+
+class PlannerNode(Node):
+    """The node `lime_planner`."""
+
+    def __init__(self, builder: Builder = build) -> None:
+        """Declare parameters, open topics and services, start the threads.
+
+        Args:
+            builder: makes robot and pipeline; tests put their own here.
+
+        Raises:
+            ParameterError: a parameter given at start is not allowed.
+        """
+        super().__init__("lime_planner")
+        self.params = NodeParameters(self)
+        settings = self.params.snapshot
+        self.inputs = Inputs(self._ros_now_s, self._warn)
+        self.frames = make_frames(self, settings.node.static_transforms)
+        self.source = SceneSource(self.inputs, self.frames, "", lambda scene, _q, _padding: scene)
+        self._open_outputs()
+        self.board = Board(self.get_name(), self._now, self._status.publish)
+        self.execution = Execution(
+            self.inputs.joints, self._send_trajectory, self._command.get_subscription_count, partial(make_stop, self._robot), self._on_end
+        )
+        self.worker = Worker(self.get_logger().error)
+        self.engine = Engine(
+            builder,
+            settings.plan,
+            may_exchange=lambda: not self.execution.active,
+            on_loaded=self._on_loaded,
+            report=lambda error, sentence: (self.get_logger().error if error else self.get_logger().info)(sentence),
+        )
+        self.requests = Requests(
+            self.engine, lambda: self.params.snapshot, self.inputs, self.frames, lambda: self.source, self.execution, self.board, self._show
+        )
+        self.watch = StemWatch(self.execution, make_look(lambda: self.source, lambda: self.engine.loaded), self._warn)
+        self._open_inputs(settings.plan.robot)
+        self._open_services()
+        self.create_timer(_WATCH_PERIOD_S, self._safely(self.execution.tick))
+        self.create_timer(_OFFERS_PERIOD_S, self._safely(self._check_offers))
+        self.create_timer(1.0, self._safely(self._publish_health))
+        motion = "enabled" if settings.node.motion_enabled else "disabled"
+        self.get_logger().info(f"serving; motion is {motion}, robot {settings.plan.robot}")
+
+    def shut_down(self) -> None:
+        """Stop a motion, answer everyone and end the threads."""
+        self.execution.stop(Status.CANCELLED, "the planner node shuts down")
+        self.worker.close()
+        self.watch.close()
+        self.engine.close(0.5)
+
+    def _open_outputs(self) -> None:
+        self._command = self.create_publisher(JointTrajectory, "joint_trajectory", qos.COMMAND)
+        self._status = self.create_publisher(DiagnosticArray, "~/status", qos.STATUS)
+        self._target = self.create_publisher(PoseStamped, "~/target", qos.LATCHED)
+        self._tool_path = self.create_publisher(Path, "~/tool_path", qos.LATCHED)
+        self._markers = self.create_publisher(MarkerArray, "~/markers", qos.LATCHED)
+        self._health = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+
+    def _open_inputs(self, robot: str) -> None:
+        self._subscriptions_by_offer = [
+            qos.AdaptiveSubscription(self, PointCloud2, name, qos.NEWEST, self._safely(partial(self._on_cloud, name))) for name in CLOUDS
+        ]
+        self._subscriptions_by_offer.append(
+            qos.AdaptiveSubscription(self, PoseStamped, "grasp_target", qos.NEWEST, self._safely(self._on_target))
+        )
+        self.create_subscription(JointState, "joint_states", self._safely(self._on_joint_state), qos.JOINT_STATES)
+        if robot == FROM_TOPIC:
+            self.create_subscription(String, "robot_description", self._safely(lambda msg: self.engine.offer(msg.data)), qos.LATCHED)
+
+    def _open_services(self) -> None:
+        group = ReentrantCallbackGroup()  # an unanswered request must not hold back the next one
+        options = {"qos_profile": qos.SERVICE, "callback_group": group}
+        for name in ("plan", "preview", "execute", "retreat"):
+            self.create_service(Trigger, f"~/{name}", partial(self._serve_trigger, name, getattr(self.requests, name)), **options)
+        self.create_service(GetPlan, "~/preview_to", self._serve_preview_to, **options)
+        self.create_service(Trigger, "~/stop", self._serve_stop, **options)
+
+    async def _serve_trigger(self, kind: str, job: Callable[[Ticket], Answer], _request: Any, response: Any) -> Any:
+        ticket, answer = await self._request(kind, job)
+        response.success = bool(answer.status is Status.SUCCEEDED)
+        response.message = answer_message(ticket, answer)
+        return response
+
+    async def _serve_preview_to(self, request: Any, response: Any) -> Any:
+        _, answer = await self._request("preview_to", lambda ticket: self.requests.preview_to(ticket, request.goal))
+        poses = answer.payload if answer.status is Status.SUCCEEDED else []
+        robot = self._robot()
+        response.plan = to_path(poses, robot.planning_frame if robot is not None else "", self._now())
+        return response
+
+    def _serve_stop(self, _request: Any, response: Any) -> Any:
+        try:
+            moving = self.execution.stop(Status.CANCELLED, "stopped by ~/stop") or self.execution.hold_foreign_motion(self.params.snapshot)
+            cancelled = self.worker.cancel("stopped by ~/stop")
+            # A request that committed while we looked has sent its motion by now, or does so at once; it is stopped too.
+            moving = self.execution.stop(Status.CANCELLED, "stopped by ~/stop") or moving
+            motion = "the motion is being stopped" if moving else "no motion was running"
+            response.success, response.message = True, Status.SUCCEEDED.message(f"{motion}; {cancelled} request(s) cancelled")
+            self.get_logger().info(f"stop: {response.message}")
+        except Exception as error:
+            self.get_logger().error(traceback.format_exc())
+            response.success, response.message = False, Status.INTERNAL_ERROR.message(f"{type(error).__name__}: {error}")
+        return response
+
+    async def _request(self, kind: str, job: Callable[[Ticket], Answer]) -> tuple[Ticket, Answer]:
+        future = Future()
+
+        def on_answer(ticket: Ticket, answer: Answer) -> None:
+            self._finish(ticket, answer)
+            future.set_result((ticket, answer))
+            executor = self.executor
+            if executor is not None:
+                executor.wake()
+
+        self.worker.submit(kind, job, on_answer)
+        result: tuple[Ticket, Answer] = await future
+        return result
+
+    def _finish(self, ticket: Ticket, answer: Answer) -> None:
+        """Put a request's end into status and log; from whichever thread answers."""
+        try:
+            motion = self.execution.motion
+            own = motion is not None and motion.plan_id == ticket.plan_id
+            self.board.show(ticket.plan_id, Phase.EXECUTING if own else Phase.DONE, answer.status, answer_message(ticket, answer))
+            if motion is not None and not own:
+                self.board.show(motion.plan_id, Phase.EXECUTING)
+            log = self.get_logger().error if answer.status is Status.INTERNAL_ERROR else self.get_logger().info
+            log(log_line(ticket, answer))
+        except Exception:  # the answer itself must get through
+            self.get_logger().error(traceback.format_exc())
+
+    def _on_end(self, ended: Ended) -> None:
+        motion = ended.motion
+        message = ended.status.message(ended.sentence)
+        self.board.show(motion.plan_id, Phase.DONE, execution_code=ended.status.name, execution_message=message)
+        self.get_logger().info(f"motion of plan {motion.plan_id}: {message}")
+        aborted = ended.status in (Status.EXECUTION_DEVIATED, Status.STEM_APPEARED)
+        if aborted and motion.replans_left > 0 and not self.worker.busy:
+
+            def replan(ticket: Ticket) -> Answer:
+                ticket.context["replans_left"] = motion.replans_left - 1
+                return self.requests.plan(ticket)
+
+            self.worker.submit("replan", replan, self._finish)
+
+    def _on_loaded(self, loaded: Loaded) -> None:
+        robot = loaded.robot
+        self.board.robot = robot.name
+        self.inputs.set_joints(tuple(robot.joint_names))
+        self.execution.forget_last()
+        self.source = SceneSource(self.inputs, self.frames, robot.planning_frame, make_arm_filter(robot))
+
+    def _on_cloud(self, name: str, msg: PointCloud2) -> None:
+        self.inputs.on_cloud(name, msg)
+        if name != "leaf_cloud":
+            self.watch.notice()
+
+    def _on_target(self, msg: PoseStamped) -> None:
+        if self.inputs.on_target(msg):
+            self._target.publish(msg)
+
+    def _on_joint_state(self, msg: JointState) -> None:
+        state = self.inputs.on_joint_state(msg)
+        if state is not None:
+            self.execution.on_state(state)
+
+    def _show(self, shown: Shown) -> None:
+        stamp = self._now()
+        self._tool_path.publish(to_path(shown.result.tool_path, shown.scene.frame_id, stamp))
+        if self._markers.get_subscription_count() > 0:
+            self._markers.publish(markers(shown.scene, shown.T_base_tool, shown.result, shown.snapshot.plan, stamp))
+
+    def _send_trajectory(self, trajectory: Any) -> None:
+        self._command.publish(to_joint_trajectory(trajectory))
+
+    def _check_offers(self) -> None:
+        for subscription in self._subscriptions_by_offer:
+            subscription.check()
+
+    def _publish_health(self) -> None:
+        ticket, motion = self.worker.current, self.execution.motion
+        values = {
+            **self.inputs.figures(),
+            "last_status": self.board.last_message,
+            "phase": self.board.phase.name,
+            "worker": f"{ticket.kind} {ticket.plan_id}" if ticket is not None else "idle",
+            "engine": self.engine.state,
+            "motion": f"plan {motion.plan_id}" if motion is not None else "none",
+            "motion_enabled": self.params.snapshot.node.motion_enabled,
+            "controllers": self._command.get_subscription_count(),
+        }
+        trouble = "" if self.engine.ready else self.engine.state
+        self._health.publish(health_message(self._now(), self.get_name(), self.board.robot, trouble, values))
+
+    def _robot(self) -> Any:
+        loaded = self.engine.loaded
+        return None if loaded is None else loaded.robot
+
+    def _now(self) -> Time:
+        return self.get_clock().now().to_msg()
+
+    def _ros_now_s(self) -> float:
+        return float(self.get_clock().now().nanoseconds) * 1e-9
+
+    def _warn(self, sentence: str) -> None:
+        self.get_logger().warning(sentence, throttle_duration_sec=_WARNING_PERIOD_S)
+
+    def _safely(self, callback: Callable[..., Any]) -> Callable[..., None]:
+        """Wrap a callback: a defect in one message's handling is logged, and the node goes on serving."""
+
+        def guarded(*arguments: Any) -> None:
+            try:
+                callback(*arguments)
+            except Exception:
+                self.get_logger().error(traceback.format_exc())
+
+        return guarded
+
+
+def main() -> int:
+    """Run the node until a signal; the program `planner_node`."""
+    sys.setswitchinterval(_SWITCH_INTERVAL_S)
+
+    def factory() -> PlannerNode:
+        try:
+            return PlannerNode()
+        except LimePlannerError as error:
+            rclpy.try_shutdown()
+            print(f"planner_node: {error}", file=sys.stderr)
+            raise SystemExit(2) from None
+
+    return run_node(factory)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,265 @@
+"""What each service does, in the worker's thread: inputs, pipeline, checks, sending. No message is decoded or made here."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from geometry_msgs.msg import PoseStamped
+
+from lime_planner.errors import LimePlannerError
+from lime_planner.ros.board import Board
+from lime_planner.ros.convert import stamp_text, target_matrix
+from lime_planner.ros.engine import Engine, Loaded
+from lime_planner.ros.execution import Execution
+from lime_planner.ros.frames import Frames
+from lime_planner.ros.inputs import Inputs, Target
+from lime_planner.ros.joints import ArmState
+from lime_planner.ros.params import Snapshot
+from lime_planner.ros.refusal import Refusal
+from lime_planner.ros.retreat import way_back
+from lime_planner.ros.scene_source import SceneSource
+from lime_planner.ros.status import Phase
+from lime_planner.ros.worker import Answer, Ticket
+from lime_planner.scene.scene import Scene
+from lime_planner.status import Status
+
+Array = npt.NDArray[np.float64]
+
+#: How often a plan is made again because the arm had moved when it was to be sent.
+_SENDING_ATTEMPTS = 2
+
+
+@dataclass(frozen=True)
+class Shown:
+    """A finished plan, for whoever draws it."""
+
+    scene: Scene
+    T_base_tool: Array | None
+    result: Any
+    snapshot: Snapshot
+
+
+@dataclass
+class Requests:
+    """The services' jobs. Every method takes the ticket and returns its answer; a `Refusal` it raises is an answer too.
+
+    Attributes:
+        engine: robot model and pipeline.
+        snapshot: the parameters now.
+        inputs: what has arrived.
+        frames: where frames are.
+        source: scenes of the newest clouds, for the model in use.
+        execution: sends and stops motions.
+        board: the status.
+        show: publishes path and markers.
+    """
+
+    engine: Engine
+    snapshot: Callable[[], Snapshot]
+    inputs: Inputs
+    frames: Frames
+    source: Callable[[], SceneSource]
+    execution: Execution
+    board: Board
+    show: Callable[[Shown], None]
+    previewed: tuple[Loaded, Any, Shown] | None = None
+
+    def plan(self, ticket: Ticket) -> Answer:
+        """Plan to the newest target from rest, and send."""
+        snapshot = self._begin(ticket)
+        self._target(ticket, snapshot)  # a missing or bad target is answered before anything is waited for or stopped
+        with self._ready(ticket, snapshot) as loaded:
+            for attempt in range(1, _SENDING_ATTEMPTS + 1):
+                self._come_to_rest(ticket, snapshot)
+                shown = self._planned(ticket, loaded, snapshot, self._target(ticket, snapshot))
+                if shown.result.status is not Status.SUCCEEDED:
+                    return _answer_of(shown.result)
+                try:
+                    return self._send(ticket, shown)
+                except Refusal as refusal:
+                    if refusal.status is not Status.ARM_MOVING or attempt == _SENDING_ATTEMPTS:
+                        raise
+        raise AssertionError("unreachable")
+
+    def preview(self, ticket: Ticket) -> Answer:
+        """Plan to the newest target and show it."""
+        snapshot = self._begin(ticket)
+        return self._preview(ticket, snapshot, lambda: self._target(ticket, snapshot))
+
+    def preview_to(self, ticket: Ticket, goal: PoseStamped) -> Answer:
+        """Plan to a pose and show it; the stored target stays."""
+        snapshot = self._begin(ticket)
+        target = Target(target_matrix(goal), goal)
+        self._note_target(ticket, target)
+        return self._preview(ticket, snapshot, lambda: target)
+
+    def execute(self, ticket: Ticket) -> Answer:
+        """Check the previewed plan against the newest inputs and send it."""
+        snapshot = self._begin(ticket)
+        if self.previewed is None:
+            raise Refusal(Status.NOTHING_TO_EXECUTE, "there is no previewed plan; call ~/preview first")
+        if self.execution.active:
+            raise Refusal(Status.ARM_MOVING, "a motion is being executed; wait for its end or call ~/stop first")
+        with self._ready(ticket, snapshot) as loaded:
+            model, result, shown = self.previewed
+            if model is not loaded:
+                raise Refusal(Status.NOTHING_TO_EXECUTE, "the robot model has changed since the preview")
+            self.board.note(ticket.plan_id, **_figures(result))
+            self._come_to_rest(ticket, snapshot)
+            arm = self._arm(snapshot)
+            scene = self.source().scene(snapshot, ticket.should_stop)
+            status, sentence = loaded.pipeline.recheck(result, scene, arm.q, snapshot.plan)
+            if status is not Status.SUCCEEDED:
+                return Answer(status, _bare(status, sentence))
+            return self._send(ticket, Shown(scene, shown.T_base_tool, result, snapshot))
+
+    def retreat(self, ticket: Ticket) -> Answer:
+        """Go back along the motion executed last, as far as the arm got."""
+        snapshot = self._begin(ticket)
+        if self.execution.last is None:
+            raise Refusal(Status.NOTHING_TO_EXECUTE, "no motion has been executed that could be gone back along")
+        with self._ready(ticket, snapshot) as loaded:
+            self._come_to_rest(ticket, snapshot)
+            last = self.execution.last
+            arm = self._arm(snapshot)
+            waypoints = way_back(last.result.waypoints, arm.q, forward=last.retreat)
+            scene = self.source().scene(snapshot, ticket.should_stop)
+            self.board.show(ticket.plan_id, Phase.PLANNING)
+            T_base_tool, should_stop = last.T_base_tool, ticket.should_stop
+            result = self._guarded(lambda: loaded.pipeline.follow(waypoints, scene, T_base_tool, snapshot.plan, should_stop=should_stop))
+            shown = Shown(scene, T_base_tool, result, snapshot)
+            self._present(ticket, shown)
+            if result.status is not Status.SUCCEEDED:
+                return _answer_of(result)
+            return self._send(ticket, shown, retreat=True)
+
+    def _begin(self, ticket: Ticket) -> Snapshot:
+        self.board.show(ticket.plan_id, Phase.PLANNING, kind=ticket.kind)
+        return self.snapshot()
+
+    def _ready(self, ticket: Ticket, snapshot: Snapshot) -> Any:
+        """Refuse at once what cannot succeed, then wait for the kernels; returns the context that holds the model."""
+        timeout_s = snapshot.node.warm_up_timeout_s
+        self.engine.wait_loaded(timeout_s, ticket.should_stop)
+        if not self.engine.ready:
+            self._arm(snapshot)
+            self.source().scene(snapshot, ticket.should_stop)
+        return self.engine.use(timeout_s, ticket.should_stop)
+
+    def _preview(self, ticket: Ticket, snapshot: Snapshot, target: Callable[[], Target]) -> Answer:
+        target()
+        with self._ready(ticket, snapshot) as loaded:
+            shown = self._planned(ticket, loaded, snapshot, target())
+            if ticket.answered:
+                return _answer_of(shown.result)
+            self.previewed = (loaded, shown.result, shown) if shown.result.status is Status.SUCCEEDED else None
+            return _answer_of(shown.result)
+
+    def _target(self, ticket: Ticket, snapshot: Snapshot) -> Target:
+        target = self.inputs.target(snapshot.node.max_target_age_s, snapshot.node.max_clock_skew_s)
+        self._note_target(ticket, target)
+        return target
+
+    def _note_target(self, ticket: Ticket, target: Target) -> None:
+        header = target.msg.header
+        ticket.context["target"] = target
+        self.board.note(
+            ticket.plan_id,
+            target_stamp=stamp_text(header.stamp),
+            target_frame=header.frame_id,
+            target_position=[round(float(v), 6) for v in target.T_frame_tool[:3, 3]],
+        )
+
+    def _arm(self, snapshot: Snapshot) -> ArmState:
+        return self.inputs.joints.fresh(snapshot.node.max_joint_state_age_s, snapshot.node.max_clock_skew_s)
+
+    def _come_to_rest(self, ticket: Ticket, snapshot: Snapshot) -> None:
+        """Stop what runs and wait until the arm is seen to rest."""
+        node = snapshot.node
+        self._arm(snapshot)
+        if self.execution.active:
+            self.source().scene(snapshot, ticket.should_stop)  # a request that cannot be served does not stop a good motion
+            self.execution.stop(Status.PREEMPTED, f"request {ticket.plan_id} ({ticket.kind}) took over")
+        elif self.inputs.joints.still(node.stillness_time_s, node.stillness_rad):
+            return
+        self.board.show(ticket.plan_id, Phase.STOPPING)
+        deadline = time.monotonic() + node.stillness_timeout_s + node.stillness_time_s
+        while self.execution.active and time.monotonic() < deadline and not ticket.answered:
+            time.sleep(0.005)
+        remaining = max(deadline - time.monotonic(), 0.0)
+        if not self.inputs.joints.wait_still(node.stillness_time_s, node.stillness_rad, remaining, ticket.should_stop):
+            self._arm(snapshot)  # silence has its own code
+            raise Refusal(Status.ARM_MOVING, f"the arm did not come to rest within {node.stillness_timeout_s:g} s")
+        self.board.show(ticket.plan_id, Phase.PLANNING)
+
+    def _planned(self, ticket: Ticket, loaded: Loaded, snapshot: Snapshot, target: Target) -> Shown:
+        began_s = time.monotonic()
+        header = target.msg.header
+        arm = self._arm(snapshot)
+        frame = header.frame_id.strip().lstrip("/")
+        T_base_tool = target.T_frame_tool
+        if frame != loaded.robot.planning_frame:
+            T = self.frames.lookup(loaded.robot.planning_frame, frame, header.stamp, snapshot.node.tf_timeout_s, ticket.should_stop)
+            T_base_tool = T @ T_base_tool
+        scene = self.source().scene(snapshot, ticket.should_stop)
+        decode_s = time.monotonic() - began_s
+        seed = snapshot.plan.seed or int(np.random.default_rng().integers(1, 2**31 - 1))
+        result = self._guarded(
+            lambda: loaded.pipeline.plan(scene, T_base_tool, arm.q, snapshot.plan, should_stop=ticket.should_stop, seed=seed)
+        )
+        shown = Shown(scene, T_base_tool, result, snapshot)
+        self._present(ticket, shown, inputs_s=decode_s, request_s=time.monotonic() - began_s)
+        return shown
+
+    def _guarded(self, call: Callable[[], Any]) -> Any:
+        """Turn the pipeline's exceptions about its arguments into an answer: they came in as messages."""
+        try:
+            return call()
+        except LimePlannerError as error:
+            raise Refusal(Status.BAD_INPUT, str(error)) from None
+
+    def _present(self, ticket: Ticket, shown: Shown, **figures: float) -> None:
+        if not ticket.answered:
+            self.board.note(ticket.plan_id, **_figures(shown.result), **figures)
+            self.show(shown)
+
+    def _send(self, ticket: Ticket, shown: Shown, *, retreat: bool = False) -> Answer:
+        result, snapshot = shown.result, shown.snapshot
+        left = ticket.context.get("replans_left", snapshot.node.replan_attempts) if ticket.kind in ("plan", "replan") else 0
+        motion = self.execution.send(
+            ticket.plan_id,
+            result,
+            result.trajectory,
+            snapshot,
+            ticket.commit,
+            T_base_tool=shown.T_base_tool,
+            retreat=retreat,
+            replans_left=left,
+            context=ticket.context,
+        )
+        if motion is None:
+            return Answer(Status.CANCELLED, "answered before it could be sent")  # never heard: the ticket has its answer
+        self.previewed = None
+        return _answer_of(result)
+
+
+def _bare(status: Status, message: str) -> str:
+    """Return a message without its code, where it begins with one."""
+    return message.removeprefix(f"{status.name}: ")
+
+
+def _answer_of(result: Any) -> Answer:
+    return Answer(result.status, _bare(result.status, result.message), result.tool_path)
+
+
+def _figures(result: Any) -> dict[str, Any]:
+    """Return the figures of `--json`, without those that the status carries itself."""
+    figures = dict(result.figures())
+    for name in ("status", "message"):
+        figures.pop(name, None)
+    return figures

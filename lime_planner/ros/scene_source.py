@@ -1,0 +1,182 @@
+"""From the newest clouds to one immutable scene in the planning frame; runs in the worker."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from lime_planner.errors import SceneError
+from lime_planner.ros.clouds import decode_cloud
+from lime_planner.ros.frames import Frames
+from lime_planner.ros.inputs import CLOUDS, Inputs, Sample
+from lime_planner.ros.params import NodeSettings, Snapshot
+from lime_planner.ros.refusal import Refusal
+from lime_planner.scene.scene import Scene
+from lime_planner.status import Status
+
+Float32 = npt.NDArray[np.float32]
+#: Removes the arm from a scene: (scene, configuration at the cloud's stamp or None, padding [m]) -> scene.
+ArmFilter = Callable[[Scene, npt.NDArray[np.float64] | None, float], Scene]
+
+_COST = "permeability_cost"
+_LEAF, _HARD = 0, 1  # labels given here to the points of the two separate clouds
+
+
+@dataclass(frozen=True)
+class _Key:
+    """What a scene was made of: the same clouds and settings need no second look."""
+
+    numbers: tuple[int, ...]
+    labels: tuple[object, ...]
+    padding_m: float
+
+
+class SceneSource:
+    """Makes scenes of the inputs and keeps the last one."""
+
+    def __init__(self, inputs: Inputs, frames: Frames, planning_frame: str, arm_filter: ArmFilter) -> None:
+        """Make a source.
+
+        Args:
+            inputs: where the clouds arrive.
+            frames: where their frames are.
+            planning_frame: frame of the scenes.
+            arm_filter: removes the arm's own points.
+        """
+        self._inputs = inputs
+        self._frames = frames
+        self._planning_frame = planning_frame
+        self._arm_filter = arm_filter
+        self._last: tuple[_Key, Scene] | None = None
+        self._lock = threading.Lock()  # the worker and the execution watch ask
+
+    def newest_stem_number(self) -> int:
+        """Return a number that changes whenever a cloud with stems arrives."""
+        return sum(self._inputs.slots[name].received for name in ("stem_cloud", "labelled_cloud"))
+
+    def scene(self, snapshot: Snapshot, should_stop: Callable[[], bool]) -> Scene:
+        """Return the scene of the newest clouds.
+
+        Raises:
+            Refusal: NO_CLOUD, BAD_INPUT, STALE_INPUT, TF_ERROR.
+        """
+        with self._lock:
+            return self._scene(snapshot, should_stop)
+
+    def _scene(self, snapshot: Snapshot, should_stop: Callable[[], bool]) -> Scene:
+        samples = self._samples(snapshot.node)
+        for name, sample in samples.items():
+            if sample.refusal is not None:
+                raise Refusal(Status.BAD_INPUT, sample.refusal)
+            sample.check_time(name, snapshot.node.max_cloud_age_s, snapshot.node.max_clock_skew_s)
+        self._check_skew(samples, snapshot.node.max_cloud_skew_s)
+        node = snapshot.node
+        key = _Key(
+            tuple(samples[name].number if name in samples else 0 for name in CLOUDS),
+            (node.label_field, node.leaf_labels, node.stem_labels, node.fruit_labels, node.ignored_labels),
+            snapshot.plan.self_filter_padding_m,
+        )
+        if self._last is not None and self._last[0] == key:
+            scene = self._last[1]
+        else:
+            scene = self._build(samples, snapshot, should_stop)
+            self._last = (key, scene)
+        for name, sample in samples.items():
+            self._inputs.slots[name].use(sample)
+        if not len(scene.stem_points) + len(scene.fruit_points) and not node.allow_empty_stem_cloud:
+            raise Refusal(Status.NO_CLOUD, _emptiness(samples, scene))
+        return scene
+
+    def _samples(self, node: NodeSettings) -> dict[str, Sample]:
+        """Return the newest clouds that belong together: the labelled one, or leaf and stem, whichever came last."""
+        newest = {name: self._inputs.slots[name].newest for name in CLOUDS}
+        there = {name: sample for name, sample in newest.items() if sample is not None}
+        labelled = there.pop("labelled_cloud", None)
+        if labelled is not None and all(labelled.arrival_s >= sample.arrival_s for sample in there.values()):
+            return {"labelled_cloud": labelled}
+        if "stem_cloud" not in there:
+            if labelled is not None:  # only a leaf cloud is newer: the stems are known from the labelled one alone
+                return {"labelled_cloud": labelled}
+            if not node.allow_empty_stem_cloud:
+                raise Refusal(Status.NO_CLOUD, "no stem cloud has been received (allow_empty_stem_cloud permits motion without)")
+        return there
+
+    def _check_skew(self, samples: dict[str, Sample], limit_s: float) -> None:
+        if limit_s <= 0.0 or not {"leaf_cloud", "stem_cloud"} <= samples.keys():
+            return
+        leaf, stem = samples["leaf_cloud"], samples["stem_cloud"]
+        stamped = leaf.stamp_s > 0.0 and stem.stamp_s > 0.0
+        skew_s = abs(leaf.stamp_s - stem.stamp_s) if stamped else abs(leaf.arrival_s - stem.arrival_s)
+        if skew_s > limit_s:
+            raise Refusal(Status.STALE_INPUT, f"leaf and stem cloud are {skew_s:.2f} s apart, the limit is {limit_s:g} s")
+
+    def _build(self, samples: dict[str, Sample], snapshot: Snapshot, should_stop: Callable[[], bool]) -> Scene:
+        parts = []
+        for name, sample in samples.items():
+            try:
+                parts.append(self._part(name, sample, snapshot, should_stop))
+            except Refusal as error:
+                if error.status is Status.BAD_INPUT:
+                    self._inputs.slots[name].reject(sample, str(error))
+                raise
+            except SceneError as error:
+                self._inputs.slots[name].reject(sample, f"{name}: {error}")
+                raise Refusal(Status.BAD_INPUT, f"{name}: {error}") from None
+        return _merged(parts, self._planning_frame)
+
+    def _part(self, name: str, sample: Sample, snapshot: Snapshot, should_stop: Callable[[], bool]) -> Scene:
+        node = snapshot.node
+        labelled = name == "labelled_cloud"
+        cloud = decode_cloud(sample.msg, name, required=(node.label_field,) if labelled else (), optional=(_COST,))
+        header = sample.msg.header
+        points = self._in_planning_frame(cloud.points, header, node.tf_timeout_s, should_stop)
+        labels = cloud.columns[node.label_field] if labelled else np.full(len(points), _LEAF if name == "leaf_cloud" else _HARD, np.int64)
+        if labelled and len(node.fruit_labels) > 1:
+            labels = np.where(np.isin(labels, node.fruit_labels), node.fruit_labels[0], labels)
+        scene = Scene.from_points(
+            points,
+            labels,
+            frame_id=self._planning_frame,
+            leaf_labels=node.leaf_labels if labelled else (_LEAF,),
+            stem_labels=node.stem_labels if labelled else (_HARD,),
+            fruit_label=(node.fruit_labels[0] if node.fruit_labels else None) if labelled else None,
+            ignored_labels=node.ignored_labels if labelled else (),
+            permeability_cost=cloud.columns.get(_COST),
+        )
+        return self._arm_filter(scene, self._inputs.joints.at(sample.stamp_s), snapshot.plan.self_filter_padding_m)
+
+    def _in_planning_frame(self, points: Float32, header: object, timeout_s: float, should_stop: Callable[[], bool]) -> Float32:
+        frame = header.frame_id.strip().lstrip("/")  # type: ignore[attr-defined]
+        if frame == self._planning_frame or not len(points):
+            return points
+        T = self._frames.lookup(self._planning_frame, frame, header.stamp, timeout_s, should_stop)  # type: ignore[attr-defined]
+        with np.errstate(invalid="ignore", over="ignore"):
+            return (points @ T[:3, :3].T.astype(np.float32) + T[:3, 3].astype(np.float32)).astype(np.float32)
+
+
+def _emptiness(samples: dict[str, Sample], scene: Scene) -> str:
+    received, gone = scene.counts.get("received", 0), scene.counts.get("non_finite", 0)
+    names = " and ".join(samples) or "no cloud"
+    return f"no stem point among the {received} points of {names} ({gone} not finite); allow_empty_stem_cloud permits motion without"
+
+
+def _merged(parts: list[Scene], frame_id: str) -> Scene:
+    """Put the scenes of several clouds together; the counts add up."""
+    if len(parts) == 1:
+        return parts[0]
+    counts: dict[str, int] = {}
+    for part in parts:
+        for name, count in part.counts.items():
+            counts[name] = counts.get(name, 0) + count
+    return Scene(
+        leaf_points=np.concatenate([np.empty((0, 3), np.float32), *(part.leaf_points for part in parts)]),
+        leaf_costs=np.concatenate([np.empty(0, np.float32), *(part.leaf_costs for part in parts)]),
+        stem_points=np.concatenate([np.empty((0, 3), np.float32), *(part.stem_points for part in parts)]),
+        fruit_points=np.concatenate([np.empty((0, 3), np.float32), *(part.fruit_points for part in parts)]),
+        frame_id=frame_id,
+        counts=counts,
+    )

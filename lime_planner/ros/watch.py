@@ -1,0 +1,100 @@
+"""Looks at every new stem cloud while a motion runs: does a stem stand on what remains of the path?
+
+In a thread of its own, because a preview may keep the worker busy meanwhile. Leaves that move never stop a motion.
+"""
+
+from __future__ import annotations
+
+import threading
+import traceback
+from collections.abc import Callable
+from typing import Any
+
+from lime_planner.ros.execution import Execution, Motion
+from lime_planner.ros.refusal import Refusal
+from lime_planner.status import Status
+
+#: What looks: (motion, should_stop) -> a sentence when the way is blocked, else None. May raise `Refusal`.
+Look = Callable[[Motion, Callable[[], bool]], str | None]
+
+
+class StemWatch:
+    """The thread."""
+
+    def __init__(self, execution: Execution, look: Look, warn: Callable[[str], None]) -> None:
+        """Start watching.
+
+        Args:
+            execution: tells which motion runs and stops it.
+            look: checks the remaining path against the newest clouds.
+            warn: is told about clouds that cannot be used and about defects.
+        """
+        self._execution = execution
+        self._look = look
+        self._warn = warn
+        self._condition = threading.Condition()
+        self._due = False
+        self._closed = False
+        self._thread = threading.Thread(target=self._run, name="stem watch", daemon=True)
+        self._thread.start()
+
+    def notice(self) -> None:
+        """Say that a cloud with stems has arrived."""
+        with self._condition:
+            self._due = True
+            self._condition.notify_all()
+
+    def close(self, timeout_s: float = 2.0) -> bool:
+        """End the thread; False if it does not end in time."""
+        with self._condition:
+            self._closed = True
+            self._condition.notify_all()
+        self._thread.join(timeout_s)
+        return not self._thread.is_alive()
+
+    def _run(self) -> None:
+        while True:
+            with self._condition:
+                self._condition.wait_for(lambda: self._due or self._closed)
+                self._due = False
+                if self._closed:
+                    return
+            motion = self._execution.motion
+            if motion is not None:
+                self._check(motion)
+
+    def _check(self, motion: Motion) -> None:
+        def should_stop() -> bool:
+            return self._closed or self._execution.motion is not motion
+
+        try:
+            sentence = self._look(motion, should_stop)
+        except Refusal as refusal:
+            self._warn(f"during the motion of plan {motion.plan_id}: {refusal}")
+            return
+        except Exception:  # the watch must outlive a defect: without it the next motion would run unwatched
+            self._warn(traceback.format_exc())
+            return
+        if sentence is not None and self._execution.motion is motion:
+            self._execution.stop(Status.STEM_APPEARED, sentence)
+
+
+def make_look(source: Callable[[], Any], engine: Callable[[], Any]) -> Look:
+    """Make the usual look: newest scene, pipeline's check of the remaining trajectory.
+
+    Args:
+        source: the scene source in use.
+        engine: the loaded model in use, or None.
+    """
+
+    def look(motion: Motion, should_stop: Callable[[], bool]) -> str | None:
+        loaded = engine()
+        if loaded is None:
+            return None
+        scene = source().scene(motion.snapshot, should_stop)
+        sentence: str | None = loaded.pipeline.obstruction(
+            motion.result, scene, motion.snapshot.plan, from_time_s=motion.elapsed_s(), should_stop=should_stop
+        )
+        return sentence
+
+    return look
