@@ -1,0 +1,88 @@
+"""How a motion is stopped, by the controller that plays it.
+
+The Kinova driver halts at once on a single point of zero velocity (and forgets the point index it would otherwise keep). A joint
+trajectory controller would be whipped back by a hold at a state measured a tenth of a second ago, so it is sent the rest of the
+running motion, slowed down to a stand: the arm never leaves its path.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from lime_planner.errors import ProblemError
+from lime_planner.motion.trajectory import Trajectory
+
+Array = npt.NDArray[np.float64]
+
+STOP_TIME_S = 0.2  #: time of the single point of a Kinova stop
+_SLACK = 1e-3  # the running motion's own cubics may exceed the limits by rounding
+_CHOICES = 17  # of the next pace, tried at once
+
+
+def one_point_stop(joint_names: Sequence[str], q_measured: npt.ArrayLike) -> Trajectory:
+    """Return the Kinova driver's stop: one point 0.2 s from now, the measured configuration, no velocity.
+
+    Args:
+        joint_names: the arm's n joints in the driver's order.
+        q_measured: the configuration it reports [rad], (n,), turns kept.
+
+    Raises:
+        ProblemError: `q_measured` of the wrong shape or not finite.
+    """
+    q = np.asarray(q_measured, dtype=np.float64)
+    if q.shape != (len(joint_names),) or not np.isfinite(q).all():
+        raise ProblemError(f"q_measured must be {len(joint_names)} finite numbers, got {q.tolist()}")
+    return Trajectory(tuple(joint_names), STOP_TIME_S, q[None, :], np.zeros((1, len(q))), first_time_s=STOP_TIME_S)
+
+
+def braking(running: Trajectory, elapsed_s: float, acceleration_limits: npt.ArrayLike, *, lead_s: float | None = None) -> Trajectory:
+    """Return the running motion slowed down to a stand as fast as the acceleration limits allow, along its own path.
+
+    The motion's clock is what slows down. At every step it is slowed as much as the cubic between two points may be accelerated;
+    not slowing it at all is always allowed, because the motion itself keeps the limits. The greedy choice is the shortest stop
+    (the minimal-acceleration curve of time-optimal path following, Bobrow et al. 1985), but for the steps' length.
+
+    Args:
+        running: the motion being carried out.
+        elapsed_s: how long ago it was begun [s].
+        acceleration_limits: the arm's [rad/s²], (n,), unscaled: a stop may use all of them.
+        lead_s: time of the first point [s], when the arm will still be on the running motion; its dt_s by default. The controller
+            goes there from wherever it is when the message arrives.
+
+    Returns:
+        A motion on the running one's grid whose last point is at rest. Its first point, moving, comes after `lead_s`.
+
+    Raises:
+        ProblemError: limits of the wrong shape or not above zero, or a lead or a time that is not finite or negative.
+    """
+    limits = np.asarray(acceleration_limits, dtype=np.float64)
+    n = len(running.joint_names)
+    if limits.shape != (n,) or not (limits > 0.0).all():
+        raise ProblemError(f"acceleration_limits must be {n} numbers above 0, got {limits.tolist()}")
+    dt_s = running.dt_s
+    lead = dt_s if lead_s is None else float(lead_s)
+    if not (np.isfinite(lead) and lead >= 0.0 and np.isfinite(elapsed_s) and elapsed_s >= 0.0):
+        raise ProblemError(f"elapsed_s and lead_s must be finite and at least 0, got {elapsed_s} and {lead}")
+    clock, pace = min(elapsed_s + lead, running.duration_s), 1.0
+    positions = [running.sample(clock)]
+    velocities = [running.sample_velocity(clock)]
+    while pace > 0.0 and clock < running.duration_s:
+        low, high = 0.0, pace
+        for _ in range(2):  # coarse, then finer between the first pace allowed and the one below it
+            paces = np.linspace(low, high, _CHOICES)
+            clocks = np.minimum(clock + 0.5 * dt_s * (pace + paces), running.duration_s)
+            q = running.sample(clocks)
+            v = running.sample_velocity(clocks) * paces[:, None]
+            slope = (q - positions[-1]) / dt_s
+            start, end = 6.0 * slope - 4.0 * velocities[-1] - 2.0 * v, 2.0 * velocities[-1] + 4.0 * v - 6.0 * slope
+            within = (np.maximum(np.abs(start), np.abs(end)) <= limits * (1.0 + _SLACK) * dt_s).all(axis=1)
+            choice = int(np.argmax(within)) if within.any() else _CHOICES - 1
+            low, high = float(paces[max(choice - 1, 0)]), float(paces[choice])
+        clock, pace = float(clocks[choice]), high
+        positions.append(q[choice])
+        velocities.append(v[choice])
+    velocities[-1] = np.zeros(n)
+    return Trajectory(running.joint_names, dt_s, np.stack(positions), np.stack(velocities), first_time_s=lead)
