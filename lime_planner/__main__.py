@@ -1,0 +1,10 @@
+"""`python -m lime_planner` is `lime-planner`."""
+
+from __future__ import annotations
+
+import sys
+
+from lime_planner.cli import main
+
+if __name__ == "__main__":
+    sys.exit(main())

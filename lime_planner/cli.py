@@ -1,0 +1,133 @@
+"""`lime-planner`: planning, scenes and experiments without a ROS graph. Commands live in modules of their own and load when called.
+
+A command's module provides `add_arguments(parser)` and `run(args) -> exit status`, and imports nothing heavy at module level.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import importlib.util
+import os
+import re
+import sys
+import traceback
+from collections.abc import Sequence
+from dataclasses import dataclass
+from types import ModuleType
+from typing import Any
+
+from lime_planner import __version__
+from lime_planner.errors import LimePlannerError
+from lime_planner.status import Status
+
+
+@dataclass(frozen=True)
+class Command:
+    """A command: its words, the module that carries it out, and one line of help."""
+
+    words: tuple[str, ...]
+    module: str
+    summary: str
+
+
+COMMANDS = (
+    Command(("plan",), "lime_planner.cli_plan", "plan the arm's reach to a target in a scene file"),
+    Command(("demo",), "lime_planner.ros.demo", "scene, arm and planner as ROS nodes; a simulated arm carries the plan out"),
+    Command(("scene", "plant"), "lime_planner.cli_scene_plant", "grow a lime plant from a seed"),
+    Command(("scene", "tomatowur"), "lime_planner.cli_scene_tomatowur", "obtain public scans of real tomato plants"),
+    Command(("scene", "info"), "lime_planner.cli_scene_info", "say what a scene file holds"),
+    Command(("parameters",), "lime_planner.cli_parameters", "list every parameter that --set and the node understand"),
+    Command(("experiment", "wall"), "lime_planner.experiments.wall", "the paper's experiment on the plane"),
+    Command(("experiment", "lime"), "lime_planner.experiments.lime", "the paper's experiment with the arm"),
+    Command(("bench", "kernels"), "lime_planner.experiments.kernels", "time of the compiled kernels"),
+    Command(("bench", "peers"), "lime_planner.experiments.peers", "time and cost against other planners"),
+)
+
+GROUPS = {"scene": "make, obtain and inspect scenes", "experiment": "the paper's tables and figures", "bench": "measurements"}
+
+_EXAMPLES = """\
+examples:
+  lime-planner scene plant --seed 3 --out plant.npz
+  lime-planner plan plant.npz --picture plan.png
+  lime-planner plan scan.ply --offset 0.55 0 0.05 \\
+      --target 0.5 0.1 0.4 0 0.7071 0 0.7071
+  lime-planner plan plant.npz --time 2 --json plan.json --set leaf_policy=solid
+
+A command's own help: lime-planner plan --help.
+"""
+
+
+class _Formatter(argparse.RawDescriptionHelpFormatter):
+    """Help within 80 columns."""
+
+    def __init__(self, prog: str) -> None:
+        super().__init__(prog, max_help_position=26, width=80)
+
+
+class _Parser(argparse.ArgumentParser):
+    """A parser that takes -1e-05 for a number, not for an option."""
+
+    def __init__(self, **kwargs: Any) -> None:
+        super().__init__(formatter_class=_Formatter, **kwargs)
+        self._negative_number_matcher = re.compile(r"^-(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?$")
+
+
+def _exists(command: Command) -> bool:
+    return importlib.util.find_spec(command.module) is not None
+
+
+def build_parser(arguments: Sequence[str]) -> argparse.ArgumentParser:
+    """Build the parser; only the module of the command that `arguments` name is imported, so that help is quick."""
+    words = tuple(word for word in arguments if not word.startswith("-"))
+    parser = _Parser(
+        prog="lime-planner",
+        description="Plan the reach of a harvesting arm to a fruit inside a plant:\naround its stems and through as few leaves as it must.",
+        epilog=_EXAMPLES,
+    )
+    parser.add_argument("--version", action="version", version=f"lime-planner {__version__}")
+    top = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
+    groups: dict[str, Any] = {}
+    for command in filter(_exists, COMMANDS):
+        place = top
+        if len(command.words) == 2:
+            group = command.words[0]
+            if group not in groups:
+                own = top.add_parser(group, help=GROUPS[group], description=GROUPS[group].capitalize() + ".")
+                groups[group] = own.add_subparsers(title="commands", metavar="COMMAND", required=True)
+            place = groups[group]
+        leaf = place.add_parser(command.words[-1], help=command.summary, description=command.summary.capitalize() + ".")
+        if words[: len(command.words)] == command.words:
+            _fill(leaf, importlib.import_module(command.module))
+    return parser
+
+
+def _fill(parser: argparse.ArgumentParser, module: ModuleType) -> None:
+    module.add_arguments(parser)
+    parser.add_argument("--debug", action="store_true", help="print the traceback of an error")
+    parser.set_defaults(run=module.run)
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one command and return its exit status: 0 for success, 1 with `CODE: sentence` on standard error, 2 for wrong usage."""
+    arguments = list(sys.argv[1:] if argv is None else argv)
+    parser = build_parser(arguments)
+    args = parser.parse_args(arguments)
+    try:
+        return int(args.run(args))
+    except LimePlannerError as error:
+        if args.debug:
+            traceback.print_exc()
+        print(Status.BAD_INPUT.message(str(error)), file=sys.stderr)
+    except KeyboardInterrupt:
+        print(Status.CANCELLED.message("stopped by the keyboard"), file=sys.stderr)
+        return 130
+    except BrokenPipeError:
+        # The reader of our output has gone (`| head`): nobody is left to tell.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    except Exception as error:
+        if args.debug:
+            traceback.print_exc()
+        text = " ".join(str(error).split()) or "no text"
+        print(Status.INTERNAL_ERROR.message(f"{type(error).__name__}: {text} (--debug prints where)"), file=sys.stderr)
+    return 1

@@ -1,0 +1,223 @@
+"""`lime-planner plan`: one plan in a scene file, through the very pipeline that the node uses."""
+
+from __future__ import annotations
+
+import argparse
+import signal
+import sys
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from lime_planner.errors import ParameterError
+from lime_planner.parameters import NODE_PARAMETERS, PARAMETERS, PLANNERS, Settings, parse_assignment, settings_from
+
+if TYPE_CHECKING:
+    from lime_planner.pipeline import PlanResult
+    from lime_planner.robot.model import Robot
+    from lime_planner.scene.scene import Scene
+
+_EPILOG = """\
+SCENE is an .npz with points (N, 3) [m] and labels (0 leaf, 1 stem, 2 fruit), or
+a PLY or PCD file with an integer field `label`, z up, in the frame of the arm's
+base. Its target_pose is used unless --target gives another one; +z of the tool
+points out of the palm. Leaves cost, stems are never touched.
+
+examples:
+  lime-planner plan plant.npz
+  lime-planner plan plant.npz --time 2 --picture plan.png --json plan.json
+  lime-planner plan scan.ply --offset 0.55 0 0.05 \\
+      --target 0.5 0.1 0.4 0 0.7071 0 0.7071
+  lime-planner plan plant.npz --planner apf_rrt_star --iterations 1500 --seed 1
+  lime-planner plan plant.npz --set leaf_policy=solid --set stem_margin_m=0.01
+
+The exit status is 0 only for SUCCEEDED; otherwise the code and one sentence go
+to standard error. --set understands what `lime-planner parameters` lists.
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the command's arguments."""
+    parser.epilog = _EPILOG
+    parser.add_argument("scene", metavar="SCENE", type=Path, help="scene file: .npz, .ply or .pcd")
+    pose = ("X", "Y", "Z", "QX", "QY", "QZ", "QW")
+    parser.add_argument("--target", nargs=7, type=float, metavar=pose, help="pose of the tool at the fruit [m, -]; default: the scene's")
+    parser.add_argument("--start", nargs="+", type=float, metavar="Q", help="joint angles at the start [rad]; default: the arm's home")
+    parser.add_argument("--planner", choices=PLANNERS, metavar="NAME", help=f"which search: {', '.join(PLANNERS)}")
+    budget = parser.add_mutually_exclusive_group()
+    budget.add_argument("--iterations", type=int, metavar="N", help="iterations of the search instead of a time")
+    budget.add_argument("--time", type=float, metavar="S", help=f"search time [s] (default {PARAMETERS['time_budget_s'].default})")
+    parser.add_argument("--seed", type=int, metavar="N", help="seed; the same seed and --iterations give the same path")
+    parser.add_argument("--scale", type=float, default=1.0, metavar="S", help="metres for each unit of the scene file (default 1)")
+    parser.add_argument("--offset", nargs=3, type=float, metavar=("X", "Y", "Z"), help="then move the scene by this [m]")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write every figure, the path and the trajectory")
+    parser.add_argument("--picture", type=Path, metavar="FILE", help="draw plant, arm and path; .png, .svg or .pdf")
+    parser.add_argument(
+        "--set", action="append", default=[], metavar="PARAMETER=VALUE", dest="assignments", help="set any parameter; repeatable"
+    )
+
+
+def read_parameters(args: argparse.Namespace) -> dict[str, Any]:
+    """Return the parameters that the options set; an option of its own wins over `--set`.
+
+    Raises:
+        ParameterError: unknown, out of range, or one that means nothing here.
+    """
+    values = dict(parse_assignment(text) for text in args.assignments)
+    for name in ("planner", "iterations", "seed"):
+        if getattr(args, name) is not None:
+            values[name] = getattr(args, name)
+    if args.time is not None:
+        values["time_budget_s"], values["iterations"] = args.time, 0
+    of_files = {"label_field", "leaf_labels", "stem_labels", "fruit_labels", "ignored_labels"}
+    idle = [name for name in values if name in NODE_PARAMETERS and name not in of_files]
+    if idle:
+        raise ParameterError(f"{', '.join(idle)}: only the node has a use for this parameter")
+    return values
+
+
+def read_scene(args: argparse.Namespace, values: dict[str, Any], frame: str) -> Scene:
+    """Load the scene with the labels that the parameters name.
+
+    Raises:
+        SceneError: see `load_scene`.
+        ParameterError: more than one fruit label.
+    """
+    from lime_planner.scene.files import load_scene
+
+    def parameter(name: str) -> Any:
+        return values.get(name, NODE_PARAMETERS[name].default)
+
+    fruit = parameter("fruit_labels")
+    if len(fruit) > 1:
+        raise ParameterError(f"fruit_labels: a scene file can have one, got {fruit}")
+    return load_scene(
+        args.scene,
+        scale=args.scale,
+        offset=args.offset,
+        label_field=parameter("label_field"),
+        default_frame=frame,
+        leaf_labels=parameter("leaf_labels"),
+        stem_labels=parameter("stem_labels"),
+        fruit_label=fruit[0] if fruit else None,
+        ignored_labels=parameter("ignored_labels"),
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Plan, print a short table, write what was asked for; 0 only for SUCCEEDED."""
+    values = read_parameters(args)
+    settings = settings_from({name: value for name, value in values.items() if name in PARAMETERS})
+    if args.picture is not None and args.picture.suffix.lower() not in (".png", ".svg", ".pdf"):
+        raise ParameterError(f"--picture {args.picture}: ends in none of .png, .svg, .pdf")
+    robot = _robot(settings)
+    scene = read_scene(args, values, robot.planning_frame)
+    return plan_in(scene, robot, settings, args)
+
+
+def plan_in(scene: Scene, robot: Robot, settings: Settings, args: argparse.Namespace) -> int:
+    """Plan in a loaded scene and report."""
+    import numpy as np
+
+    from lime_planner.pipeline import Pipeline
+    from lime_planner.poses import pose_to_matrix
+    from lime_planner.robot.model import home
+    from lime_planner.status import Status
+
+    q_start = home(robot) if args.start is None else np.asarray(args.start)
+    if q_start.shape != (robot.n,):
+        raise ParameterError(f"--start needs {robot.n} angles, one for each of {', '.join(robot.joint_names)}; got {len(q_start)}")
+    target = scene.target_pose if args.target is None else np.asarray(args.target)
+    if target is None:
+        return _refuse(args, Status.NO_TARGET.name, Status.NO_TARGET.message(f"{args.scene} has no target_pose; give one with --target"))
+    if scene.frame_id != robot.planning_frame:
+        frames = f"the scene is in the frame {scene.frame_id!r} and the arm plans in {robot.planning_frame!r}"
+        sentence = f"{frames}; without ROS no transform between them is known"
+        return _refuse(args, Status.TF_ERROR.name, Status.TF_ERROR.message(sentence))
+    T_base_tool = pose_to_matrix(target)
+    result = Pipeline(robot).plan(scene, T_base_tool, q_start, settings, should_stop=_stopped_by_signal(), seed=settings.seed)
+    return _report(result, scene, robot, q_start, target, args)
+
+
+def _robot(settings: Settings) -> Robot:
+    from lime_planner.robot.model import load_robot
+
+    if settings.robot == "topic":
+        raise ParameterError("robot: `topic` needs ROS; name a built-in model or a URDF file")
+    return load_robot(
+        settings.robot,
+        joint_names=settings.arm_joints or None,
+        planning_frame=settings.planning_frame or None,
+        tool_frame=settings.tool_frame or None,
+    )
+
+
+def _stopped_by_signal() -> Callable[[], bool]:
+    """Let the first Ctrl-C or SIGTERM end the plan as CANCELLED; the second ends the program."""
+    stop = threading.Event()
+    if threading.current_thread() is not threading.main_thread():
+        return stop.is_set
+
+    def ask(number: int, _: Any) -> None:
+        if stop.is_set():
+            raise KeyboardInterrupt
+        stop.set()
+
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, ask)
+    return stop.is_set
+
+
+def _refuse(args: argparse.Namespace, code: str, message: str) -> int:
+    """Report an outcome that needed no planning."""
+    from lime_planner.viewer.tables import write_json
+
+    if args.json is not None:
+        write_json(args.json, {"status": code, "message": message})
+    print(message, file=sys.stderr)
+    return 1
+
+
+def _report(result: PlanResult, scene: Scene, robot: Robot, q_start: Any, target: Any, args: argparse.Namespace) -> int:
+    from lime_planner.status import Status
+    from lime_planner.viewer.tables import print_plans, write_json
+
+    figures = result.figures()
+    if args.json is not None:
+        print(f"figures: {write_json(args.json, {**figures, 'scene': str(args.scene)})}")
+    if args.picture is not None:
+        from lime_planner.viewer.picture import draw_picture
+
+        found = len(result.waypoints) > 0
+        draw_picture(
+            args.picture,
+            scene,
+            robot,
+            q_start=q_start,
+            q_goal=result.waypoints[-1] if found else None,
+            tool_path=result.tool_path if found else None,
+            tool_leaf=result.tool_leaf if found else None,
+            target_pose=target,
+            title=picture_title(figures),
+        )
+        print(f"picture: {args.picture}")
+    if result.status is not Status.SUCCEEDED:
+        print(result.message, file=sys.stderr)
+        return 1
+    print(result.message)
+    trajectory = result.trajectory
+    extra = [("duration of the motion [s]", [f"{trajectory.duration_s:.2f}" if trajectory is not None else "–"])]
+    extra += [("iterations", [str(result.iterations)]), ("seed", [str(result.seed)])]
+    print_plans(f"{result.planner} in {args.scene}", [("plan", figures)], extra)
+    return 0
+
+
+def picture_title(figures: dict[str, Any]) -> str:
+    """Return the line above a picture: status and the figures that matter."""
+    if figures["status"] != "SUCCEEDED":
+        return str(figures["status"])
+    return (
+        f"{figures['planner']}: leaf contact {figures['leaf_contact_rad']:.2f} rad of {figures['path_length_rad']:.2f} rad, "
+        f"stem clearance {1000.0 * figures['min_stem_clearance_m']:.1f} mm"
+    )
