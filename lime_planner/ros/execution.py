@@ -80,6 +80,7 @@ class Execution:
         publish: Callable[[Trajectory], None],
         subscribers: Callable[[], int],
         make_stop: StopMaker,
+        on_stop: Callable[[Motion], None],
         on_end: Callable[[Ended], None],
     ) -> None:
         """Make an execution at rest.
@@ -89,12 +90,14 @@ class Execution:
             publish: puts a trajectory on the wire.
             subscribers: how many listen to the motion command.
             make_stop: the controller's way of stopping.
+            on_stop: is told about each motion that is being stopped.
             on_end: is told about each motion's end, once, from whichever thread notices.
         """
         self._joints = joints
         self._publish = publish
         self._subscribers = subscribers
         self._make_stop = make_stop
+        self._on_stop = on_stop
         self._on_end = on_end
         self._lock = threading.RLock()
         self._motion: Motion | None = None
@@ -187,7 +190,8 @@ class Execution:
                 self._publish(command)
             self._motion = None
             self._stopping = (motion, status, sentence, time.monotonic())
-            return True
+        self._on_stop(motion)
+        return True
 
     def hold_foreign_motion(self, snapshot: Snapshot) -> bool:
         """Send a hold when the arm moves although nothing of ours runs (a motion from before a restart, say)."""

@@ -44,6 +44,7 @@ from lime_planner.ros.runner import run_node
 from lime_planner.ros.scene_source import SceneSource
 from lime_planner.ros.status import Phase, health_message
 from lime_planner.ros.stops import make_stop
+from lime_planner.ros.throttle import Throttle
 from lime_planner.ros.watch import StemWatch, make_look
 from lime_planner.ros.worker import Answer, Ticket, Worker
 from lime_planner.status import Status
@@ -70,13 +71,19 @@ class PlannerNode(Node):
         super().__init__("lime_planner")
         self.params = NodeParameters(self)
         settings = self.params.snapshot
+        self._warn = Throttle(self.get_logger().warning, _WARNING_PERIOD_S)
         self.inputs = Inputs(self._ros_now_s, self._warn)
         self.frames = make_frames(self, settings.node.static_transforms)
         self.source = SceneSource(self.inputs, self.frames, "", lambda scene, _q, _padding: scene)
         self._open_outputs()
         self.board = Board(self.get_name(), self._now, self._status.publish)
         self.execution = Execution(
-            self.inputs.joints, self._send_trajectory, self._command.get_subscription_count, partial(make_stop, self._robot), self._on_end
+            self.inputs.joints,
+            self._send_trajectory,
+            self._command.get_subscription_count,
+            partial(make_stop, self._robot),
+            lambda motion: self.board.show(motion.plan_id, Phase.STOPPING),
+            self._on_end,
         )
         self.worker = Worker(self.get_logger().error)
         self.engine = Engine(
@@ -258,9 +265,6 @@ class PlannerNode(Node):
 
     def _ros_now_s(self) -> float:
         return float(self.get_clock().now().nanoseconds) * 1e-9
-
-    def _warn(self, sentence: str) -> None:
-        self.get_logger().warning(sentence, throttle_duration_sec=_WARNING_PERIOD_S)
 
     def _safely(self, callback: Callable[..., Any]) -> Callable[..., None]:
         """Wrap a callback: a defect in one message's handling is logged, and the node goes on serving."""

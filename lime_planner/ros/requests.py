@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -40,6 +41,7 @@ class Shown:
 
     scene: Scene
     T_base_tool: Array | None
+    target: Target | None
     result: Any
     snapshot: Snapshot
 
@@ -67,7 +69,7 @@ class Requests:
     execution: Execution
     board: Board
     show: Callable[[Shown], None]
-    previewed: tuple[Loaded, Any, Shown] | None = None
+    previewed: tuple[Loaded, Shown] | None = None
 
     def plan(self, ticket: Ticket) -> Answer:
         """Plan to the newest target from rest, and send."""
@@ -106,7 +108,10 @@ class Requests:
         if self.execution.active:
             raise Refusal(Status.ARM_MOVING, "a motion is being executed; wait for its end or call ~/stop first")
         with self._ready(ticket, snapshot) as loaded:
-            model, result, shown = self.previewed
+            model, shown = self.previewed
+            result = shown.result
+            if shown.target is not None:
+                self._note_target(ticket, shown.target)
             if model is not loaded:
                 raise Refusal(Status.NOTHING_TO_EXECUTE, "the robot model has changed since the preview")
             self.board.note(ticket.plan_id, **_figures(result))
@@ -116,7 +121,7 @@ class Requests:
             status, sentence = loaded.pipeline.recheck(result, scene, arm.q, snapshot.plan)
             if status is not Status.SUCCEEDED:
                 return Answer(status, _bare(status, sentence))
-            return self._send(ticket, Shown(scene, shown.T_base_tool, result, snapshot))
+            return self._send(ticket, dataclasses.replace(shown, scene=scene, snapshot=snapshot))
 
     def retreat(self, ticket: Ticket) -> Answer:
         """Go back along the motion executed last, as far as the arm got."""
@@ -126,13 +131,14 @@ class Requests:
         with self._ready(ticket, snapshot) as loaded:
             self._come_to_rest(ticket, snapshot)
             last = self.execution.last
+            ticket.context["target"] = last.context.get("target")
             arm = self._arm(snapshot)
             waypoints = way_back(last.result.waypoints, arm.q, forward=last.retreat)
             scene = self.source().scene(snapshot, ticket.should_stop)
             self.board.show(ticket.plan_id, Phase.PLANNING)
             T_base_tool, should_stop = last.T_base_tool, ticket.should_stop
             result = self._guarded(lambda: loaded.pipeline.follow(waypoints, scene, T_base_tool, snapshot.plan, should_stop=should_stop))
-            shown = Shown(scene, T_base_tool, result, snapshot)
+            shown = Shown(scene, T_base_tool, None, result, snapshot)
             self._present(ticket, shown)
             if result.status is not Status.SUCCEEDED:
                 return _answer_of(result)
@@ -157,7 +163,7 @@ class Requests:
             shown = self._planned(ticket, loaded, snapshot, target())
             if ticket.answered:
                 return _answer_of(shown.result)
-            self.previewed = (loaded, shown.result, shown) if shown.result.status is Status.SUCCEEDED else None
+            self.previewed = (loaded, shown) if shown.result.status is Status.SUCCEEDED else None
             return _answer_of(shown.result)
 
     def _target(self, ticket: Ticket, snapshot: Snapshot) -> Target:
@@ -212,7 +218,7 @@ class Requests:
         result = self._guarded(
             lambda: loaded.pipeline.plan(scene, T_base_tool, arm.q, snapshot.plan, should_stop=ticket.should_stop, seed=seed)
         )
-        shown = Shown(scene, T_base_tool, result, snapshot)
+        shown = Shown(scene, T_base_tool, target, result, snapshot)
         self._present(ticket, shown, inputs_s=decode_s, request_s=time.monotonic() - began_s)
         return shown
 
