@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, fields
-from typing import Literal
+from typing import Any, Literal
 
 from lime_planner.errors import ParameterError
 from lime_planner.planning.paper_kernels import APF_RRT_STAR, P_RRT_STAR, RRT_STAR, Rules
@@ -15,7 +15,7 @@ ALGORITHMS = {"rrt_star": RRT_STAR, "apf_rrt_star": APF_RRT_STAR, "p_rrt_star": 
 _CHOICES = {
     "algorithm": tuple(ALGORITHMS),
     "step_rule": ("default", "up_to_delta", "exactly_delta"),
-    "inside_leaves": ("explore", "attract"),
+    "inside_leaves": ("attract", "explore"),
     "radius": ("delta", "rrg"),
     "cost": ("node", "integral"),
 }
@@ -42,7 +42,8 @@ class PaperOptions:
         step_rule: `up_to_delta` stops at the sample, `exactly_delta` may pass it; `default`: exactly δ for APF-RRT* (section III-B:
             "by a fixed distance δ"), up to δ for the others (as is usual for RRT*).
         near_is_neighbour: q_near always counts as a neighbour of q_new, whatever rounding makes of their distance.
-        inside_leaves: APF-RRT* inside a permeable obstacle: `explore` sets λ = 1, `attract` keeps the attraction.
+        inside_leaves: the repulsion is singular inside an obstacle and left out there. `attract`: the attraction alone remains and
+            biases the extension (which gives table I); `explore`: λ = 1, as the text of section III-B suggests.
         goal_radius: a node within it may become the goal's parent; None: 5/3 δ (5 on the wall).
         goal_bias: probability that a goal is the sample.
         free_samples: reject samples inside impermeable obstacles (line 3 read literally) instead of extending towards them.
@@ -66,7 +67,7 @@ class PaperOptions:
     propagate: bool = False
     step_rule: Literal["default", "up_to_delta", "exactly_delta"] = "default"
     near_is_neighbour: bool = True
-    inside_leaves: Literal["explore", "attract"] = "explore"
+    inside_leaves: Literal["attract", "explore"] = "attract"
     goal_radius: float | None = None
     goal_bias: float = 0.0
     free_samples: bool = False
@@ -95,6 +96,23 @@ class PaperOptions:
                 raise ParameterError(f"{f.name} must be finite and {limit}, got {value!r}")
         if self.goal_bias > 1.0:
             raise ParameterError(f"goal_bias must be at most 1, got {self.goal_bias!r}")
+
+    @classmethod
+    def wall(cls, algorithm: str, **changes: Any) -> PaperOptions:
+        """Return the parameters of the wall experiment (section IV), with changes."""
+        return cls(**{"algorithm": algorithm, **changes})
+
+    @classmethod
+    def arm(cls, algorithm: str, **changes: Any) -> PaperOptions:
+        """Return the parameters of the arm experiment (section V), with changes: radians, and metres for distances to the cloud.
+
+        The paper gives δ 0.1 rad, C_perm 100, β 1, Δ 0.1 rad and k 2, and no gains for the field. Here K_att is 50 cost/rad², K_rep
+        2e-4 cost·m² for leaves and stems, and d* 0.1 m: as on the wall, attraction and repulsion then balance at about a tenth
+        of d*, 1 cm, when the goal is 1 rad away and the nearest point moves 0.5 m for each radian. λ = 1 where the distance is zero or less.
+        """
+        settings: dict[str, Any] = {"delta": 0.1, "shift": 0.1, "shift_steps": 2, "d_star": 0.1, "inside_leaves": "explore"}
+        settings |= {"k_rep_permeable": 2e-4, "k_rep_impermeable": 2e-4}
+        return cls(**{"algorithm": algorithm, **settings, **changes})
 
     @property
     def leaf_weight(self) -> float:

@@ -162,23 +162,21 @@ def wall_g() -> PlaneWorld:
 
 
 def _leaf_wall(rng: np.random.Generator) -> list[Corners]:
-    """A wall of leaves across the whole map, its faces zigzag, its thickness varying, with one or two open or thin gaps."""
-    knots = np.concatenate([[-10.0], np.sort(rng.uniform(5.0, 95.0, size=int(rng.integers(4, 8)))), [110.0]])
+    """A wall of leaves across the whole map, its faces zigzag, with thin places and sometimes an open gap off the straight line."""
+    knots = np.concatenate([[-10.0], np.sort(rng.uniform(5.0, 95.0, size=int(rng.integers(5, 9)))), [110.0]])
     middle = 50.0 + rng.uniform(-6.0, 6.0, size=len(knots))
     half = rng.uniform(4.0, 12.0, size=len(knots))
-    half[rng.integers(1, len(knots) - 1)] = rng.uniform(1.0, 3.0)  # a thin place
-    pieces = [(0, len(knots))]
-    if rng.random() < 0.5 and len(knots) > 5:  # an open gap instead of one section, leaves on both sides of it
-        cut = int(rng.integers(2, len(knots) - 2))
-        knots[cut - 1 : cut + 1] = sum(knots[cut - 1 : cut + 1]) / 2.0 + np.array([-1.5, 1.5])
-        knots = np.maximum.accumulate(knots)
-        pieces = [(0, cut), (cut, len(knots))]
-    polygons = []
-    for first, last in pieces:
-        left = [(float(middle[i] - half[i]), float(knots[i])) for i in range(first, last)]
-        right = [(float(middle[i] + half[i]), float(knots[i])) for i in reversed(range(first, last))]
-        polygons.append(tuple(left + right))
-    return polygons
+    half[rng.choice(np.arange(1, len(knots) - 1), size=2, replace=False)] = rng.uniform(1.0, 3.0, size=2)
+    faces = [[(float(middle[i] - half[i]), float(middle[i] + half[i]), float(knots[i])) for i in range(len(knots))]]
+    if rng.random() < 0.5:
+        gap = float(rng.choice([rng.uniform(8.0, 30.0), rng.uniform(70.0, 92.0)]))
+        width = float(rng.uniform(2.0, 4.0))
+        ends = []
+        for y in (gap - width / 2.0, gap + width / 2.0):
+            ends.append((float(np.interp(y, knots, middle - half)), float(np.interp(y, knots, middle + half)), y))
+        below, above = [f for f in faces[0] if f[2] < ends[0][2]], [f for f in faces[0] if f[2] > ends[1][2]]
+        faces = [[*below, ends[0]], [ends[1], *above]]
+    return [tuple((left, y) for left, _, y in part) + tuple((right, y) for _, right, y in reversed(part)) for part in faces]
 
 
 def _blocks(rng: np.random.Generator) -> list[Corners]:

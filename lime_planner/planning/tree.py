@@ -168,14 +168,26 @@ def _squared_block(tree: Any, q: Any, first: int, count: int) -> None:
     """Write the squared Euclidean distances of nodes first to first + count - 1 to `tree.squared`."""
     squared = tree.squared
     for i in range(q.shape[0]):
-        column = tree.columns[i]
+        column = tree.columns[i, first : first + count]
         value = q[i]
-        if i == 0:
-            for j in range(count):
-                squared[j] = (column[first + j] - value) ** 2
-        else:
-            for j in range(count):
-                squared[j] += (column[first + j] - value) ** 2
+        for j in range(np.uint64(count)):  # unsigned: no wrap-around to allow for, so that the loop becomes vector instructions
+            gap = column[j] - value
+            squared[j] = gap * gap if i == 0 else squared[j] + gap * gap
+
+
+@kernel
+def _block_minimum(squared: Any, count: int) -> float:
+    """Smallest of the first `count` numbers, in four lanes: one comparison after another would wait for each other."""
+    low0, low1, low2, low3 = np.inf, np.inf, np.inf, np.inf
+    whole = count // 4 * 4
+    for j in range(np.uint64(0), np.uint64(whole), np.uint64(4)):
+        low0 = squared[j] if squared[j] < low0 else low0
+        low1 = squared[j + np.uint64(1)] if squared[j + np.uint64(1)] < low1 else low1
+        low2 = squared[j + np.uint64(2)] if squared[j + np.uint64(2)] < low2 else low2
+        low3 = squared[j + np.uint64(3)] if squared[j + np.uint64(3)] < low3 else low3
+    for j in range(np.uint64(whole), np.uint64(count)):
+        low0 = squared[j] if squared[j] < low0 else low0
+    return min(min(low0, low1), min(low2, low3))
 
 
 def nearest(space: Any, tree: Tree, q: npt.NDArray[np.float64]) -> tuple[int, float]:
@@ -212,9 +224,13 @@ def _nearest(space: Any, tree: Any, q: Any) -> Any:
         for first in range(0, size, _BLOCK):
             count = min(_BLOCK, size - first)
             _squared_block(tree, q, first, count)
-            for j in range(count):
-                if tree.squared[j] < best_squared:
-                    best, best_squared = first + j, tree.squared[j]
+            smallest = _block_minimum(tree.squared, count)
+            if smallest < best_squared:
+                best_squared = smallest
+                for j in range(np.uint64(count)):
+                    if tree.squared[j] == smallest:
+                        best = first + np.int64(j)
+                        break
         return best, np.sqrt(best_squared)
 
     return by_scan
@@ -244,9 +260,9 @@ def _neighbours(space: Any, tree: Any, q: Any, radius: Any, slack: Any) -> Any:
         for first in range(0, size, _BLOCK):
             count = min(_BLOCK, size - first)
             _squared_block(tree, q, first, count)
-            for j in range(count):
+            for j in range(np.uint64(count)):
                 if tree.squared[j] <= limit:
-                    tree.found[found] = first + j
+                    tree.found[found] = first + np.int64(j)
                     tree.found_distance[found] = np.sqrt(tree.squared[j])
                     found += 1
         return found

@@ -1,0 +1,1 @@
+"""The paper's experiments: tables, statistics and figures, and exact references to judge planners by."""
