@@ -67,8 +67,8 @@ class Ended:
     sentence: str
 
 
-#: Makes the stop: (motion or None, time since its start [s], newest measured configuration or None) -> what to send, or None.
-StopMaker = Callable[[Motion | None, float, Array | None], Trajectory | None]
+#: Makes the stop: (motion or None, newest measured configuration or None, arm on the plan?) -> what to send, or None.
+StopMaker = Callable[[Motion | None, Array | None, bool], Trajectory | None]
 
 
 class Execution:
@@ -185,7 +185,7 @@ class Execution:
             if motion is None:
                 return self._stopping is not None
             state = self._joints.newest
-            command = self._make_stop(motion, motion.elapsed_s(), None if state is None else state.q)
+            command = self._make_stop(motion, None if state is None else state.q, status is not Status.EXECUTION_DEVIATED)
             if command is not None:
                 self._publish(command)
             self._motion = None
@@ -202,7 +202,7 @@ class Execution:
                 return False
             if not self._joints.moving(node.stillness_time_s, node.stillness_rad):
                 return False
-            command = self._make_stop(None, 0.0, state.q)
+            command = self._make_stop(None, state.q, False)
             if command is not None:
                 self._publish(command)
             return command is not None

@@ -81,7 +81,7 @@ class PlannerNode(Node):
             self.inputs.joints,
             self._send_trajectory,
             self._command.get_subscription_count,
-            partial(make_stop, self._robot),
+            lambda motion, q, on_path: make_stop(self._robot(), motion, q, on_path),
             lambda motion: self.board.show(motion.plan_id, Phase.STOPPING),
             self._on_end,
         )

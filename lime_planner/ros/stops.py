@@ -2,37 +2,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from lime_planner.motion.stop import braking, one_point_stop
 from lime_planner.motion.trajectory import Trajectory
 from lime_planner.ros.execution import Motion
 
 Array = npt.NDArray[np.float64]
 
-#: Time of the one point of a hold [s].
-HOLD_S = 0.2
 
-
-def hold(joint_names: tuple[str, ...], q: Array) -> Trajectory:
-    """Return the one-point stop: the measured positions at rest."""
-    return Trajectory(joint_names, HOLD_S, q[None, :], np.zeros((1, len(q))), HOLD_S)
-
-
-def make_stop(robot: Callable[[], Any], motion: Motion | None, elapsed_s: float, q: Array | None) -> Trajectory | None:
+def make_stop(robot: Any, motion: Motion | None, q: Array | None, on_path: bool) -> Trajectory | None:
     """Return what stops a motion.
+
+    A joint trajectory controller is slowed down along the planned path: a hold at a state measured a moment ago would whip the arm
+    back. Where the arm has left the path, or nothing is known of it, the hold is the better of the two.
 
     Args:
         robot: the model in use.
         motion: what runs, None for a motion that is not ours.
-        elapsed_s: time since it was sent [s].
         q: the newest measured configuration (n,), None when there is none.
+        on_path: whether the arm is where the plan has it, as far as is known.
     """
     if motion is None:
-        return None if q is None else hold(tuple(robot().joint_names), q)
-    trajectory = motion.trajectory
-    measured = trajectory.sample(elapsed_s) if q is None else q
-    return hold(trajectory.joint_names, measured)
+        return None if q is None or robot is None else one_point_stop(robot.joint_names, q)
+    trajectory, elapsed_s = motion.trajectory, motion.elapsed_s()
+    if motion.snapshot.node.controller == "jtc" and on_path:
+        return braking(trajectory, elapsed_s, robot.acceleration_limits)
+    return one_point_stop(trajectory.joint_names, trajectory.sample(elapsed_s) if q is None else q)
