@@ -67,7 +67,8 @@ def clean_scene(
 
     stem_kept, _, stem_moved = _thin_below(cropped.stem_points, max_stem_points, STEM_VOXELS_M)
     fruit_kept, _, fruit_moved = _thin_below(cropped.fruit_points, max_stem_points, STEM_VOXELS_M)
-    leaf_kept, stands_for, leaf_moved = _thin_below(cropped.leaf_points, max_leaf_points, tuple(edge for edge in LEAF_VOXELS_M if edge <= voxel_m) or (voxel_m,))
+    leaf_voxels_m = tuple(edge for edge in LEAF_VOXELS_M if edge <= voxel_m) or (voxel_m,)
+    leaf_kept, stands_for, leaf_moved = _thin_below(cropped.leaf_points, max_leaf_points, leaf_voxels_m)
     leaf_costs = cropped.leaf_costs[leaf_kept]
     if stands_for is not None and (cropped.leaf_costs != 1.0).any():
         np.maximum.at(leaf_costs, stands_for, cropped.leaf_costs)
