@@ -10,6 +10,8 @@ import numpy.typing as npt
 from lime_planner.jit import kernel
 from lime_planner.space import distance, repulsion
 
+Array = npt.NDArray[np.float64]
+
 
 class Field(NamedTuple):
     """Gains of the field, for compiled planners.
@@ -31,10 +33,10 @@ class Field(NamedTuple):
     d_star: float
     beta: float
     explore_inside: bool
-    force_max: npt.NDArray[np.float64]
+    force_max: Array
 
 
-def farthest_corner(lower: npt.NDArray[np.float64], upper: npt.NDArray[np.float64], goals: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+def farthest_corner(lower: Array, upper: Array, goals: Array) -> Array:
     """Return the distance from each goal (G, n) to the corner of the box that is farthest from it, (G,)."""
     return np.asarray(np.linalg.norm(np.maximum(goals - lower, upper - goals), axis=1))
 
@@ -66,7 +68,7 @@ def total_force(space: Any, field: Any, goals: Any, q: Any, force: Any) -> tuple
 
 
 @kernel
-def exploration_weight(field: Any, goal: int, clearance: float, f_total: float) -> float:
+def exploration_weight(field: Any, goal: int, clearance: float, f_total: float) -> Any:
     """Return λ of equation 6: 1 explores only, smaller values follow the field."""
     if clearance <= 0.0 and field.explore_inside:
         return 1.0

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numba.core.types as nt
 import numpy as np
 import numpy.typing as npt
-from llvmlite import ir
+from llvmlite import ir  # type: ignore[import-untyped]
 from numba.extending import intrinsic
 
 from lime_planner.errors import ProblemError
@@ -93,16 +93,17 @@ class FunctionSpace(NamedTuple):
     edge_step: float
     scratch: Array
 
-    own_distance = True  # see `lime_planner.space.distance`
-
     def raise_pending(self) -> None:
         """Raise the exception that one of the functions raised while compiled code called it, if any."""
-        callbacks = self.addresses.base
+        callbacks: Any = self.addresses.base
         while isinstance(callbacks, np.ndarray):
             callbacks = callbacks.base
         if isinstance(callbacks, _Callbacks) and callbacks.error is not None:
             error, callbacks.error = callbacks.error, None
             raise error
+
+
+FunctionSpace.own_distance = True  # type: ignore[attr-defined]  # `lime_planner.space.distance` is asked, not assumed
 
 
 def function_space(

@@ -19,7 +19,7 @@ from lime_planner.errors import ProblemError
 from lime_planner.planning import paper_kernels as kernels
 from lime_planner.planning.field import Field, farthest_corner
 from lime_planner.planning.paper_options import PaperOptions
-from lime_planner.planning.tree import Tree, enlarged, new_tree, trace
+from lime_planner.planning.tree import Tree, add_node, enlarged, new_tree, trace
 from lime_planner.status import Status
 
 __all__ = ["PaperOptions", "PaperOutcome", "Snapshot", "plan_paper"]
@@ -115,7 +115,7 @@ class _Run:
         self.scratch = kernels.Scratch(*(np.zeros(n) for _ in range(4)))
         self.tree = new_tree(capacity, n)
         self.iterations = 0
-        kernels.add_node(self.tree, start, max(self.state(start), 0.0), -1, 0.0)
+        add_node(self.tree, start, max(self.state(start), 0.0), -1, 0.0)
         # Compile (or load) everything before the clock starts.
         self.grow(0)
         kernels.best_goal(space, self.rules, goals[:0], self.tree)

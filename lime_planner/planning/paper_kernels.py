@@ -50,13 +50,13 @@ class Scratch(NamedTuple):
 
 
 @kernel
-def evaluate_one(space: Any, q: Any) -> float:
+def evaluate_one(space: Any, q: Any) -> Any:
     """Evaluate one configuration, callable from Python."""
     return evaluate(space, q)
 
 
 @kernel
-def extend(space: Any, field: Any, rules: Any, goals: Any, q_near: Any, q_rand: Any, reach: float, scratch: Any) -> bool:
+def extend(space: Any, field: Any, rules: Any, goals: Any, q_near: Any, q_rand: Any, reach: float, scratch: Any) -> Any:
     """Write q_new to `scratch.new` (algorithm 1, line 5); False where there is no direction to go.
 
     Args:
@@ -89,7 +89,7 @@ def extend(space: Any, field: Any, rules: Any, goals: Any, q_near: Any, q_rand: 
 
 
 @kernel
-def edge_cost(space: Any, rules: Any, a: Any, b: Any, length: float, intensity_a: float, bound: float) -> float:
+def edge_cost(space: Any, rules: Any, a: Any, b: Any, length: float, intensity_a: float, bound: float) -> Any:
     """Cost of going from node a on to b: equation 2, or the integral along the edge; inf where it is blocked or above `bound`.
 
     Equation 2 charges C_perm of the node that is left, so that the cost depends on the edge's direction.
@@ -106,7 +106,7 @@ def edge_cost(space: Any, rules: Any, a: Any, b: Any, length: float, intensity_a
 
 
 @kernel
-def neighbour_radius(rules: Any, size: int, n: int) -> float:
+def neighbour_radius(rules: Any, size: int, n: int) -> Any:
     """Return δ, or with a positive `rrg_gamma` max(δ, γ (ln size / size)^(1/n)), the radius of RRT* and RRG."""
     if rules.rrg_gamma > 0.0 and size > 1:
         return max(rules.delta, rules.rrg_gamma * (np.log(size) / size) ** (1.0 / n))

@@ -108,7 +108,7 @@ class PaperOptions:
 
         The paper gives δ 0.1 rad, C_perm 100, β 1, Δ 0.1 rad and k 2, and no gains for the field. Here K_att is 50 cost/rad², K_rep
         2e-4 cost·m² for leaves and stems, and d* 0.1 m: as on the wall, attraction and repulsion then balance at about a tenth
-        of d*, 1 cm, when the goal is 1 rad away and the nearest point moves 0.5 m for each radian. λ = 1 where the distance is zero or less.
+        of d*, 1 cm, when the goal is 1 rad away and the nearest point moves 0.5 m for each radian. λ = 1 inside obstacles.
         """
         settings: dict[str, Any] = {"delta": 0.1, "shift": 0.1, "shift_steps": 2, "d_star": 0.1, "inside_leaves": "explore"}
         settings |= {"k_rep_permeable": 2e-4, "k_rep_impermeable": 2e-4}

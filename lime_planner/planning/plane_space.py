@@ -66,9 +66,11 @@ def _inside(vertices: Any, first: int, last: int, x: float, y: float) -> bool:
 def inside_kind(space: Any, kind: int, x: float, y: float) -> bool:
     """Tell whether (x, y) lies strictly inside any polygon of one kind."""
     for p in range(space.kinds.shape[0]):
-        if space.kinds[p] == kind and space.boxes[p, 0] < x < space.boxes[p, 2] and space.boxes[p, 1] < y < space.boxes[p, 3]:
-            if _inside(space.vertices, space.offsets[p], space.offsets[p + 1], x, y):
-                return True
+        box = space.boxes[p]
+        if space.kinds[p] != kind or not (box[0] < x < box[2] and box[1] < y < box[3]):
+            continue
+        if _inside(space.vertices, space.offsets[p], space.offsets[p + 1], x, y):
+            return True
     return False
 
 

@@ -126,7 +126,7 @@ def unlink(tree: Any, node: int) -> None:
 
 
 @kernel
-def add_node(tree: Any, q: Any, intensity: float, parent: int, edge_cost: float) -> int:
+def add_node(tree: Any, q: Any, intensity: float, parent: int, edge_cost: float) -> Any:
     """Append a node below `parent` (-1 for the start) and return its number; the caller has made room."""
     node = tree.size[0]
     tree.size[0] = node + 1
@@ -229,7 +229,7 @@ def _nearest(space: Any, tree: Any, q: Any) -> Any:
                 best_squared = smallest
                 for j in range(np.uint64(count)):
                     if tree.squared[j] == smallest:
-                        best = first + np.int64(j)
+                        best = first + j
                         break
         return best, np.sqrt(best_squared)
 
