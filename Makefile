@@ -29,7 +29,7 @@ setup:
 	@PYTHON='$(PYTHON)' scripts/setup.sh
 
 demo: setup
-	@$(BIN)/python -m lime_planner.ros.demo $(if $(SCENE),--scene '$(SCENE)') $(DEMO_ARGS)
+	@$(BIN)/python -m lime_planner demo $(if $(SCENE),--scene '$(SCENE)') $(DEMO_ARGS)
 
 lint: setup
 	$(BIN)/ruff check .

@@ -1,0 +1,210 @@
+"""The demo: scene, arm and planner as processes of their own, a plan asked for and carried out, and a table and a picture of it."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import dataclasses
+import signal
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from lime_planner.errors import LimePlannerError, ParameterError
+from lime_planner.parameters import PARAMETERS, parse_assignment, settings_from
+from lime_planner.ros.demo_report import MOTION_TIMEOUT_S, Driven, report, verdict
+from lime_planner.status import Status
+
+if TYPE_CHECKING:
+    import numpy as np
+    import numpy.typing as npt
+
+    from lime_planner.pipeline import Pipeline
+    from lime_planner.robot.model import Robot
+    from lime_planner.ros.demo_client import DemoClient
+    from lime_planner.ros.demo_processes import Processes
+    from lime_planner.scene.scene import Scene
+
+    Array = npt.NDArray[np.float64]
+
+DEFAULT_SEED = 1
+_READY_TIMEOUT_S = 240.0  # compiling everything for the first time takes its while on a slow machine
+_TARGETS_TRIED = 12
+
+_EPILOG = """\
+Three nodes run as processes on this machine, in a ROS domain and a namespace of
+their own: a scene (clouds and target), a simulated arm, the planner. The demo
+asks ~/plan, which moves the (simulated) arm, and measures where it ends.
+
+examples:
+  make demo
+  make demo SCENE=plant.npz
+  make demo SCENE=scan.npz DEMO_ARGS='--offset 0.55 0 0.05 --controller kinova'
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the demo's arguments."""
+    parser.epilog = _EPILOG
+    parser.add_argument("--scene", type=Path, metavar="FILE", help="scene file (.npz, .ply, .pcd); default: a generated lime plant")
+    parser.add_argument("--plant-seed", type=int, default=DEFAULT_SEED, metavar="N", help=f"which plant is grown (default {DEFAULT_SEED})")
+    parser.add_argument("--scale", type=float, default=1.0, metavar="S", help="metres for each unit of the scene file (default 1)")
+    parser.add_argument("--offset", nargs=3, type=float, metavar=("X", "Y", "Z"), help="then move the scene by this [m]")
+    pose = ("X", "Y", "Z", "QX", "QY", "QZ", "QW")
+    parser.add_argument("--target", nargs=7, type=float, metavar=pose, help="pose of the tool at the fruit; default: the scene's, or drawn")
+    parser.add_argument("--controller", choices=("jtc", "kinova"), default="jtc", help="whose rules the arm follows (default jtc)")
+    parser.add_argument("--out", type=Path, default=Path("out"), metavar="DIR", help="folder for picture, figures and logs (default out)")
+    parser.add_argument(
+        "--set", action="append", default=[], metavar="PARAMETER=VALUE", dest="assignments", help="set any parameter; repeatable"
+    )
+
+
+class Clock:
+    """Prints what happens, each line with the time since the start."""
+
+    def __init__(self) -> None:
+        """Start."""
+        self._began = time.monotonic()
+
+    def say(self, text: str) -> None:
+        """Print one line."""
+        print(f"[{time.monotonic() - self._began:5.1f} s] {text}", flush=True)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run the demo; 0 only if the arm ended at the target."""
+    clock = Clock()
+    values = dict(parse_assignment(text) for text in args.assignments)
+    planning = {name: value for name, value in values.items() if name in PARAMETERS}
+    settings = settings_from(planning)
+    if settings.robot == "topic":
+        raise ParameterError("robot: the demo needs a built-in model or a URDF file")
+    clock.say("loading the arm and the scene")
+    from lime_planner.pipeline import Pipeline
+    from lime_planner.robot.model import load_robot
+
+    robot = load_robot(settings.robot)
+    pipeline = Pipeline(robot)
+    scene = _scene(args, robot)
+    if scene.target_pose is None:
+        clock.say("the scene has no target; looking for a place in its canopy that the arm can reach")
+        scene = _with_drawn_target(scene, robot, pipeline, planning)
+    args.out.mkdir(parents=True, exist_ok=True)
+    with _quick_end():
+        driven = _drive(args, values, robot, scene, clock)
+    comparisons = _compare(pipeline, robot, scene, planning, driven, clock)
+    picture = report(args, robot, scene, driven, comparisons)
+    clock.say(f"picture: {picture}   figures: {args.out / 'demo.json'}   logs: {args.out / 'logs'}")
+    return verdict(robot, scene, driven)
+
+
+def _scene(args: argparse.Namespace, robot: Robot) -> Scene:
+    """Load or grow the scene and put it where the options say."""
+    import numpy as np
+
+    from lime_planner.scene.files import load_scene
+    from lime_planner.scene.plant import generate_plant
+
+    if args.scene is None:
+        scene = generate_plant(np.random.default_rng(args.plant_seed))
+    else:
+        scene = load_scene(args.scene, scale=args.scale, offset=args.offset, default_frame=robot.planning_frame)
+    if scene.frame_id != robot.planning_frame:
+        raise LimePlannerError(f"the scene is in the frame {scene.frame_id!r}, the arm plans in {robot.planning_frame!r}")
+    return scene if args.target is None else dataclasses.replace(scene, target_pose=np.asarray(args.target))
+
+
+def _with_drawn_target(scene: Scene, robot: Robot, pipeline: Pipeline, planning: Mapping[str, Any]) -> Scene:
+    """Give a scan without fruit a target among its leaves: the first of some drawn ones to which a path is found."""
+    import numpy as np
+
+    from lime_planner.poses import pose_to_matrix
+    from lime_planner.robot.model import home
+    from lime_planner.scene.targets import canopy_targets
+
+    poses = canopy_targets(scene, np.random.default_rng(DEFAULT_SEED), _TARGETS_TRIED)
+    settings = settings_from(planning)
+    for pose in poses:
+        if pipeline.plan(scene, pose_to_matrix(pose), home(robot), settings, seed=DEFAULT_SEED).status is Status.SUCCEEDED:
+            return dataclasses.replace(scene, target_pose=pose)
+    raise LimePlannerError(f"no path was found to any of {len(poses)} places drawn in the canopy; give a --target or an --offset")
+
+
+@contextlib.contextmanager
+def _quick_end() -> Any:
+    """Turn SIGTERM into an exception, so that the nodes are ended on the way out."""
+
+    def end(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    before = signal.signal(signal.SIGTERM, end)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def _drive(args: argparse.Namespace, values: Mapping[str, Any], robot: Robot, scene: Scene, clock: Clock) -> Driven:
+    """Start the nodes, ask for the plan and follow the motion."""
+    from lime_planner.ros.demo_client import DemoClient
+    from lime_planner.ros.demo_processes import Corner, Processes
+    from lime_planner.scene.files import save_scene
+
+    path = args.out / "scene.npz"
+    save_scene(path, scene)
+    corner = Corner.own()
+    arm = {"robot": values.get("robot", PARAMETERS["robot"].default)}
+    with Processes(corner, args.out / "logs") as nodes:
+        clock.say(f"starting scene_node, mock_arm_node and planner_node in ROS domain {corner.domain}, namespace {corner.namespace}")
+        nodes.start("scene_node", "lime_planner.ros.scene_node", {"file": str(path.resolve())})
+        nodes.start("mock_arm_node", "lime_planner.ros.mock_arm_node", {**arm, "controller": args.controller})
+        nodes.start("planner_node", "lime_planner.ros.planner_node", {**arm, **values})
+        with DemoClient(corner, robot.joint_names, nodes.check) as client:
+            client.wait(client.planner_serves, 30.0, "the planner's service and the arm's joint states")
+            clock.say("all nodes are up; the planner loads its model (the first time ever it compiles: up to a minute or two)")
+            client.wait(lambda: client.engine == "ready", _READY_TIMEOUT_S, "the planner to get ready")
+            clock.say(f"calling {corner.namespace}/lime_planner/plan")
+            before = len(client.states)
+            success, message = client.plan(60.0)
+            clock.say(message)
+            if success:
+                _follow(client, nodes, robot, scene, clock)
+            return Driven(success, message, dict(client.status), client.states[max(0, before - 1) :])
+
+
+def _follow(client: DemoClient, nodes: Processes, robot: Robot, scene: Scene, clock: Clock) -> None:
+    """Print where the tool is until the motion has ended and the arm rests."""
+    import numpy as np
+
+    assert scene.target_pose is not None
+    deadline = time.monotonic() + MOTION_TIMEOUT_S
+    while not client.status.get("execution_code"):
+        distance_m = float(np.linalg.norm(robot.forward(client.states[-1])[:3, 3] - scene.target_pose[:3]))
+        clock.say(f"the arm moves; the tool is {1000.0 * distance_m:.0f} mm from the target")
+        next_line = time.monotonic() + 1.0
+        while time.monotonic() < next_line and not client.status.get("execution_code"):
+            nodes.check()
+            time.sleep(0.02)
+        if time.monotonic() > deadline:
+            return
+    client.wait(client.still, 5.0, "the arm to rest")
+
+
+def _compare(
+    pipeline: Pipeline, robot: Robot, scene: Scene, planning: Mapping[str, Any], driven: Driven, clock: Clock
+) -> list[tuple[str, Mapping[str, Any]]]:
+    """Plan the same reach with leaves as solid obstacles, and with leaves ignored (their contact still counted)."""
+    from lime_planner.poses import pose_to_matrix
+    from lime_planner.robot.model import home
+
+    assert scene.target_pose is not None
+    clock.say("for comparison, the same reach with leaves as solid obstacles and with leaves ignored")
+    q_start = driven.states[0] if len(driven.states) else home(robot)
+    columns = []
+    for heading, policy in (("leaves solid", "solid"), ("leaves ignored", "ignored")):
+        settings = settings_from({**planning, "leaf_policy": policy})
+        result = pipeline.plan(scene, pose_to_matrix(scene.target_pose), q_start, settings, seed=settings.seed or 1)
+        clock.say(f"{heading}: {result.message}")
+        columns.append((heading, result.figures()))
+    return columns
