@@ -52,7 +52,7 @@ def _source_hash() -> str:
     digest = hashlib.sha256(f"{numba.__version__} {sys.version_info[:2]}".encode())
     for path in sorted(_PACKAGE.rglob("*.py")):
         text = path.read_bytes()
-        if b"@kernel" in text or b"@overload" in text or path.name == "jit.py":
+        if b"kernel\n" in text or b"@overload" in text or path.name == "jit.py":
             digest.update(str(path.relative_to(_PACKAGE)).encode())
             digest.update(text)
     return digest.hexdigest()[:16]
@@ -72,8 +72,8 @@ def _prepare_cache() -> str:
 
 _CACHE_DIRECTORY = _prepare_cache()
 
-#: Compiler options of every kernel: no GIL (services stay responsive), IEEE semantics (NaN and inf are meaningful here).
-JIT_OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
+#: Compiler options of every kernel: no GIL (services stay responsive), NaN and inf kept meaningful, fused multiply-add.
+JIT_OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy", "fastmath": {"contract", "nsz"}}
 
 
 @contextlib.contextmanager
@@ -91,6 +91,22 @@ def kernel(function: F) -> F:
     """Compile `function` with Numba: no Python objects, no GIL, cached on disk under a hash of the package's sources."""
     with _our_cache():
         return numba.njit(cache=True, **JIT_OPTIONS)(function)  # type: ignore[no-any-return]
+
+
+def hot_kernel(function: F) -> F:
+    """Compile like `kernel`, but without reference counts: for the innermost functions, which take and pass on many arrays.
+
+    Counting references of the arrays inside a named tuple costs atomic additions at every call, several times the work itself.
+    Such a function must not allocate or return arrays; its callers keep them alive.
+    """
+    with _our_cache():
+        return numba.njit(cache=True, _nrt=False, **JIT_OPTIONS)(function)  # type: ignore[no-any-return]
+
+
+def inline_kernel(function: F) -> F:
+    """Compile like `hot_kernel`, but merged into each caller, so that named tuples of many arrays are not copied at the call."""
+    with _our_cache():
+        return numba.njit(cache=True, inline="always", _nrt=False, **JIT_OPTIONS)(function)  # type: ignore[no-any-return]
 
 
 def overload(stub: Callable[..., Any]) -> Callable[[F], F]:

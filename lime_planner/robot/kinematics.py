@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from lime_planner.jit import hot_kernel, kernel
+from lime_planner.jit import hot_kernel
 
 Array = npt.NDArray[np.float64]
 
@@ -201,7 +201,7 @@ def tool_jacobian(chain: Chain, poses: Array, out: Array) -> None:
             out[3 + r, i] = turning * poses[i + 1, r, 2]
 
 
-@kernel
+@hot_kernel
 def forward_many(chain: Chain, path: Array, poses: Array) -> None:
     """Write the joint frames' poses (K, n + 1, 3, 4) of many configurations (K, n)."""
     for k in range(path.shape[0]):

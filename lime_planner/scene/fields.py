@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from lime_planner.jit import kernel
+from lime_planner.jit import inline_kernel, kernel
 
 Points = npt.NDArray[np.float32]
 
@@ -269,7 +269,7 @@ def build_fields(
     return Fields(low, spacing_m, values, boxes, present, hash_points(stems), hash_points(leaves, leaf_costs))
 
 
-@kernel
+@inline_kernel
 def box_distance(box, x, y, z):  # type: ignore[no-untyped-def]
     """Distance from a place to an axis-aligned box (2, 3), 0 inside [m]."""
     dx = max(box[0, 0] - x, 0.0, x - box[1, 0])
@@ -278,7 +278,7 @@ def box_distance(box, x, y, z):  # type: ignore[no-untyped-def]
     return math.sqrt(dx * dx + dy * dy + dz * dz)
 
 
-@kernel
+@inline_kernel
 def sample(fields, x, y, z):  # type: ignore[no-untyped-def]
     """Interpolated distances (stem, leaf) at a place [m]; outside the grid, the distance to the points' bounding boxes."""
     values = fields.values
@@ -325,7 +325,7 @@ def sample(fields, x, y, z):  # type: ignore[no-untyped-def]
     return float(stem), float(leaf)
 
 
-@kernel
+@inline_kernel
 def lower_bound(distance, spacing_m):  # type: ignore[no-untyped-def]
     """Lower bound of the true distance given the interpolated one [m].
 
