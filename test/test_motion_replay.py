@@ -5,6 +5,7 @@ import pytest
 
 from lime_planner.errors import ProblemError
 from lime_planner.motion.replay import TICK_S, KinovaLaw, replay_jtc, replay_kinova
+from lime_planner.motion.stop import one_point_stop
 from lime_planner.motion.timing import time_path
 from lime_planner.motion.trajectory import Trajectory
 
@@ -96,6 +97,22 @@ def test_timed_motions_end_at_the_goal_under_both_controllers(dt_s):
     # 3 mrad in a joint is under 5 mm at the tool. Where the spacing is no multiple of the tick, points get a tick more or less.
     assert kinova < 3e-3
     assert jtc < 1e-12
+
+
+def test_two_hundred_preempted_motions_end_at_the_newest_goal():
+    rng = np.random.default_rng(11)
+    worst = 0.0
+    for _ in range(200):
+        first = random_motion(rng)
+        sent_at = float(rng.uniform(0.0, first.duration_s))
+        t, q = replay_kinova(first)
+        stop = one_point_stop(NAMES, q[np.searchsorted(t, sent_at)])
+        halt = replay_kinova([(0.0, first), (sent_at, stop)])[1][-1]
+        second = time_path([halt, halt + rng.normal(size=6) * 0.3], VELOCITIES, ACCELERATIONS, joint_names=NAMES)
+        _, q = replay_kinova([(0.0, first), (sent_at, stop), (sent_at + 0.3, second)])
+        worst = max(worst, np.abs(q[-1] - second.positions[-1]).max())
+    print(f"200 preempted motions: largest end error {1e3 * worst:.3f} mrad")
+    assert worst < 3e-3
 
 
 def test_a_stop_is_reached_by_a_cubic():

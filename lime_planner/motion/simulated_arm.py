@@ -126,12 +126,20 @@ class SimulatedArm:
 
     @faults.setter
     def faults(self, faults: Faults) -> None:
-        turns = faults.wrap_offset_turns
-        n = len(self.joint_names)
-        if len(turns) not in (0, 1, n):
-            raise ParameterError(f"wrap_offset_turns needs 0, 1 or {n} numbers, got {len(turns)}")
-        self._offset = 2.0 * np.pi * np.broadcast_to(np.array(turns or (0,), dtype=np.float64), n)
+        self.check(faults)
+        turns = np.array(faults.wrap_offset_turns or (0,), dtype=np.float64)
+        self._offset = 2.0 * np.pi * np.broadcast_to(turns, len(self.joint_names))
         self._faults = faults
+
+    def check(self, faults: Faults) -> None:
+        """Do nothing where the faults fit the arm.
+
+        Raises:
+            ParameterError: a number of turns that is not 0, 1 or n.
+        """
+        turns, n = len(faults.wrap_offset_turns), len(self.joint_names)
+        if turns not in (0, 1, n):
+            raise ParameterError(f"wrap_offset_turns needs 0, 1 or {n} numbers, got {turns}")
 
     @property
     def configuration(self) -> Array:

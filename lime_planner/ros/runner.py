@@ -21,6 +21,8 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 
+from lime_planner.errors import LimePlannerError
+
 #: How long the spinning thread may take to come back from the callback it is in [s].
 JOIN_TIMEOUT_S = 5.0
 
@@ -47,8 +49,10 @@ def run_node(factory: Callable[[], Node], *, args: Sequence[str] | None = None, 
     """Create a node, serve it until SIGINT or SIGTERM, and take it down.
 
     For the main thread only (Python delivers signals there). An exception in the factory or in a callback is printed and ends the
-    program with code 1. If the node has a method `shut_down`, it is called once, from the main thread, while callbacks may still
-    run: the place to cancel work, so that callbacks that wait for it return, and to stop worker threads.
+    program with code 1; of this package's own exceptions, whose text is for users, the factory's are printed without a traceback.
+
+    If the node has a method `shut_down`, it is called once, from the main thread, while callbacks may still run: the place to cancel
+    work, so that callbacks that wait for it return, and to stop worker threads.
 
     Args:
         factory: builds the node; called after `rclpy.init`.
@@ -72,6 +76,10 @@ def run_node(factory: Callable[[], Node], *, args: Sequence[str] | None = None, 
     try:
         rclpy.init(args=sys.argv if args is None else list(args), signal_handler_options=SignalHandlerOptions.NO)
         node = factory()
+    except LimePlannerError as error:
+        print(error, file=sys.stderr, flush=True)
+        rclpy.try_shutdown()
+        return 1
     except Exception:
         traceback.print_exc()
         rclpy.try_shutdown()
