@@ -7,6 +7,7 @@ An `.npz` holds `points` (N, 3) [m] and `labels` (N,), and optionally `permeabil
 
 from __future__ import annotations
 
+import contextlib
 import os
 from collections.abc import Sequence
 from pathlib import Path
@@ -105,7 +106,8 @@ def save_scene(path: str | os.PathLike[str], scene: Scene) -> None:
     except OSError as error:
         raise SceneError(f"{path}: cannot be written ({error.strerror or error})") from error
     finally:
-        temporary.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):
+            temporary.unlink(missing_ok=True)
 
 
 def labelled_points(scene: Scene) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.uint8], npt.NDArray[np.float32]]:

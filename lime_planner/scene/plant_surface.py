@@ -22,14 +22,18 @@ def perpendicular(axes: Float64) -> tuple[Float64, Float64]:
     return first, np.cross(axes, first)
 
 
-def _spread(rng: np.random.Generator, areas: Float64, per_m2: float) -> Int64:
-    """Draw surface pieces in proportion to their areas [m²]: one draw in each of n equal slices, so that no patch stays bare."""
+def _spread(rng: np.random.Generator, areas: Float64, per_m2: float) -> tuple[Int64, Float64]:
+    """Draw surface pieces in proportion to their areas [m²]: one draw in each of n equal slices, so that no patch stays bare.
+
+    Returns the pieces (n,) and how far through its piece's area each draw lies (n,), 0 to 1.
+    """
     edges = np.cumsum(areas)
     if not len(edges) or edges[-1] <= 0.0:
-        return np.zeros(0, dtype=np.int64)
+        return np.zeros(0, dtype=np.int64), np.zeros(0)
     n = max(1, round(float(edges[-1]) * per_m2))
     place = (np.arange(n) + rng.random(n)) * (edges[-1] / n)
-    return np.asarray(np.minimum(np.searchsorted(edges, place, side="right"), len(edges) - 1))
+    index = np.asarray(np.minimum(np.searchsorted(edges, place, side="right"), len(edges) - 1))
+    return index, np.clip(1.0 - (edges[index] - place) / areas[index], 0.0, 1.0)
 
 
 def triangle_areas(triangles: npt.NDArray[np.floating]) -> Float64:
@@ -40,7 +44,7 @@ def triangle_areas(triangles: npt.NDArray[np.floating]) -> Float64:
 
 def on_triangles(rng: np.random.Generator, triangles: Float64, per_m2: float) -> tuple[Float64, Int64]:
     """Return points (N, 3) [m] on triangles (T, 3, 3) and the triangle (N,) each lies on."""
-    index = _spread(rng, triangle_areas(triangles), per_m2)
+    index, _ = _spread(rng, triangle_areas(triangles), per_m2)
     root, v = np.sqrt(rng.random(len(index))), rng.random(len(index))
     weights = np.stack([1.0 - root, root * (1.0 - v), root * v], axis=1)
     return np.einsum("nk,nkx->nx", weights, triangles[index]), index
@@ -50,8 +54,9 @@ def on_cones(rng: np.random.Generator, starts: Float64, ends: Float64, radii: Fl
     """Return points (N, 3) [m] on the mantles of truncated cones from `starts` to `ends` (S, 3) with radii (S, 2) [m]."""
     along = ends - starts
     lengths = np.linalg.norm(along, axis=1)
-    index = _spread(rng, np.pi * radii.sum(axis=1) * lengths, per_m2)
-    t, angle = rng.random(len(index)), rng.random(len(index)) * (2.0 * np.pi)
+    # The draw's place in the area is its place along the axis (nearly, on so slender a cone): a twig has no gaps.
+    index, t = _spread(rng, np.pi * radii.sum(axis=1) * lengths, per_m2)
+    angle = rng.random(len(index)) * (2.0 * np.pi)
     first, second = perpendicular(unit(along))
     radius = radii[index, 0] * (1.0 - t) + radii[index, 1] * t
     around = np.cos(angle)[:, None] * first[index] + np.sin(angle)[:, None] * second[index]

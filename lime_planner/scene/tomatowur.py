@@ -65,8 +65,8 @@ def obtain(directory: str | os.PathLike[str]) -> Obtained:
 def convert(archive: str | os.PathLike[str], directory: str | os.PathLike[str]) -> Obtained:
     """Convert the scans in a downloaded source distribution to scene files in `directory`; nothing else is unpacked.
 
-    Each scan keeps every point, moved so that the foot of the main stem is the origin, z up. Stems, nodes and the stake become
-    impermeable points.
+    Each scan keeps every point, moved so that the main stem's foot is above the origin and the lowest point at height 0, z up.
+    Stems, nodes and the stake become impermeable points.
 
     Raises:
         SceneError: the archive cannot be read, holds no scans or no licence, or a scan has an unexpected layout.
@@ -122,14 +122,13 @@ def _scan_to_scene(text: bytes, name: str) -> Scene:
 
 
 def _foot(points: npt.NDArray[np.float64], classes: npt.NDArray[np.int64]) -> npt.NDArray[np.float64]:
-    """Return where the main stem leaves the pot, (3,) [m]: the middle of its lowest 2 cm."""
+    """Return the middle of the main stem's lowest 2 cm (x, y) at the height of the scan's lowest point (z), (3,) [m]."""
     stem = points[classes == _MAIN_STEM]
     if not len(stem):
         stem = points
     # Single mislabelled points far below the stem must not become its foot.
-    low = np.quantile(stem[:, 2], 0.002)
-    x, y = np.median(stem[stem[:, 2] <= low + 0.02, :2], axis=0)
-    return np.array([x, y, low])
+    x, y = np.median(stem[stem[:, 2] <= np.quantile(stem[:, 2], 0.002) + 0.02, :2], axis=0)
+    return np.array([x, y, points[:, 2].min()])
 
 
 def _download(folder: Path) -> Path:
