@@ -1,0 +1,118 @@
+"""Many independent trials in parallel processes, with a progress bar, and nothing lost when they are interrupted."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import signal
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any, TypeVar
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+Task = TypeVar("Task")
+Result = TypeVar("Result")
+
+_IN_FLIGHT = 4  # tasks handed out ahead for each process: busy processes, and little to cancel
+
+
+def default_jobs() -> int:
+    """Return the number of processors this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def _ignore_interrupt() -> None:
+    # The terminal sends ctrl-C to all processes; only the parent decides what it means.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+@contextlib.contextmanager
+def _progress(description: str, total: int, console: Console) -> Iterator[Callable[[], None]]:
+    if not console.is_terminal:
+        yield lambda: None
+        return
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=console) as progress:
+        bar = progress.add_task(description, total=total)
+        yield lambda: progress.advance(bar)
+
+
+def run_trials(
+    function: Callable[[Task], Result],
+    tasks: Sequence[Task],
+    on_result: Callable[[Result], None],
+    *,
+    jobs: int,
+    description: str,
+    console: Console | None = None,
+) -> bool:
+    """Call `function` on every task and hand each result to `on_result`, in the order in which they finish.
+
+    Args:
+        function: importable by name (processes are spawned), and so are its argument and result.
+        tasks: what to do.
+        on_result: called in this process.
+        jobs: number of processes; 1 runs everything in this one.
+        description: beside the progress bar, which shows on a terminal only.
+        console: where the bar goes (default: standard error).
+
+    Returns:
+        True when all are done; False after ctrl-C: tasks under way are finished and handed over, the others dropped.
+    """
+    console = console or Console(stderr=True)
+    with _progress(description, len(tasks), console) as advance:
+
+        def done(result: Result) -> None:
+            on_result(result)
+            advance()
+
+        if jobs <= 1:
+            try:
+                for task in tasks:
+                    done(function(task))
+            except KeyboardInterrupt:
+                return False
+            return True
+        with ProcessPoolExecutor(jobs, mp_context=get_context("spawn"), initializer=_ignore_interrupt) as pool:
+            return _drain(pool, function, tasks, done, jobs * _IN_FLIGHT)
+
+
+def _drain(
+    pool: ProcessPoolExecutor, function: Callable[[Task], Result], tasks: Sequence[Task], done: Callable[[Result], None], ahead: int
+) -> bool:
+    """Keep `ahead` tasks in the pool until all are done, or until ctrl-C."""
+    waiting = iter(tasks)
+    pending: set[Future[Result]] = set()
+    interrupted = False
+    while True:
+        try:
+            while not interrupted and len(pending) < ahead and (task := next(waiting, None)) is not None:
+                pending.add(pool.submit(function, task))
+            if not pending:
+                return not interrupted
+            finished, _ = wait(pending, return_when=FIRST_COMPLETED)
+            for future in finished:
+                pending.discard(future)
+                done(future.result())
+        except KeyboardInterrupt:
+            if interrupted:
+                raise  # a second ctrl-C: leave at once
+            interrupted = True
+            pending = {future for future in pending if not future.cancel()}
+
+
+def write_atomically(path: Path, text: str) -> None:
+    """Replace a file's contents such that a reader, or a crash, never meets half of them."""
+    temporary = path.with_name(f".{path.name}.{os.getpid()}")
+    temporary.write_text(text)
+    temporary.replace(path)
+
+
+def write_json(path: Path, data: Any) -> None:
+    """Write JSON (no NaN, no inf) atomically."""
+    write_atomically(path, json.dumps(data, allow_nan=False, separators=(",", ":")) + "\n")
