@@ -55,15 +55,20 @@ usable() {
   right_version "$1" || return 1
   [[ $ros == wheels ]] || "$1" -c 'import rclpy' >/dev/null 2>&1
 }
+has_venv() { "$1" -c 'import ensurepip, venv' >/dev/null 2>&1; }
 find_python() {
-  local candidate
+  # The first usable one that can make virtual environments, else the first usable one.
+  local candidate second=
   for candidate in ${PYTHON:-/usr/bin/python3 python3 python3.12 python3.11 /usr/bin/python3.12 /usr/bin/python3.11}; do
-    if command -v "$candidate" >/dev/null && usable "$candidate"; then
-      "$candidate" -c 'import sys; print(sys.executable)'
+    command -v "$candidate" >/dev/null && usable "$candidate" || continue
+    candidate=$("$candidate" -c 'import sys; print(sys.executable)')
+    if has_venv "$candidate"; then
+      echo "$candidate"
       return
     fi
+    second=${second:-$candidate}
   done
-  return 1
+  [[ -n $second ]] && echo "$second"
 }
 
 # --- System packages ---------------------------------------------------------------------------------------------------------
@@ -71,9 +76,9 @@ has_library() { { PATH=$PATH:/sbin:/usr/sbin ldconfig -p || true; } 2>/dev/null 
 missing_packages() {
   local python
   if python=$(find_python); then
-    "$python" -c 'import ensurepip, venv' >/dev/null 2>&1 || echo "python3-venv"
-  else
-    echo "python3 python3-venv"
+    has_venv "$python" || echo python3-venv
+  elif [[ $ros == wheels && -z ${PYTHON:-} ]]; then
+    echo python3 python3-venv
   fi
   # Open3D links to these.
   has_library libusb-1.0.so.0 || echo libusb-1.0-0
