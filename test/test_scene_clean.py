@@ -143,7 +143,7 @@ def cloud(n):
     labels = np.repeat(np.array([0, 1, 2], dtype=np.uint8), [len(plant.leaf_points), len(plant.stem_points), len(plant.fruit_points)])
     pick = rng.integers(len(source), size=n)
     points = source[pick] + rng.normal(0.0, 0.001, (n, 3)).astype(np.float32)
-    points[:: 1000] = np.nan
+    points[::1000] = np.nan
     return points, labels[pick]
 
 
