@@ -65,7 +65,9 @@ def test_every_number_type_and_byte_order(datatype: int, big: bool) -> None:
     label=st.sampled_from(sorted(TYPES)),
     big=st.booleans(),
 )
-def test_padding_order_and_organisation(rows: int, columns: int, gap: int, pad: int, order: str, datatype: int, label: int, big: bool) -> None:
+def test_padding_order_and_organisation(
+    rows: int, columns: int, gap: int, pad: int, order: str, datatype: int, label: int, big: bool
+) -> None:
     msg, values, labels = organised(rows, columns, datatype, big=big, gap=gap, pad=pad, order=order, label=label)
     cloud = decode_cloud(msg, "labelled_cloud", required=("label",))
     assert np.array_equal(cloud.points, values)
@@ -172,7 +174,11 @@ def test_no_header_makes_it_crash(data: st.DataObject) -> None:
     msg.point_step, msg.row_step = data.draw(st.integers(0, 64)), data.draw(st.integers(0, 128))
     msg.is_bigendian = data.draw(st.booleans())
     for field in msg.fields:
-        field.offset, field.datatype, field.count = data.draw(st.integers(0, 40)), data.draw(st.integers(0, 10)), data.draw(st.integers(0, 3))
+        field.offset, field.datatype, field.count = (
+            data.draw(st.integers(0, 40)),
+            data.draw(st.integers(0, 10)),
+            data.draw(st.integers(0, 3)),
+        )
     try:
         check_layout(msg, "leaf_cloud")
         cloud = decode_cloud(msg, "leaf_cloud", optional=("label",))

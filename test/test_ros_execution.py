@@ -1,0 +1,223 @@
+"""Sending, watching and stopping motions, with a played arm."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from ros_fakes import JOINTS, START, FakeRobot, result, trajectory
+
+from lime_planner.motion.trajectory import Trajectory
+from lime_planner.ros.execution import Ended, Execution, Motion, deviation
+from lime_planner.ros.joints import ArmState, JointHistory
+from lime_planner.ros.params import Snapshot, snapshot_from
+from lime_planner.ros.refusal import Refusal
+from lime_planner.ros.stops import make_stop
+from lime_planner.ros.watch import StemWatch
+from lime_planner.status import Status
+
+QUICK = {"stillness_time_s": 0.06, "goal_time_s": 0.3, "stillness_timeout_s": 0.5, "execution_lag_s": 0.1}
+
+
+class Rig:
+    """An execution with everything around it played."""
+
+    def __init__(self) -> None:
+        self.joints = JointHistory()
+        self.sent: list[Trajectory] = []
+        self.ended: list[Ended] = []
+        self.stopped: list[Motion] = []
+        self.subscribers = 1
+        self.execution = Execution(
+            self.joints,
+            self.sent.append,
+            lambda: self.subscribers,
+            lambda motion, q, on_path: make_stop(FakeRobot(), motion, q, on_path),
+            self.stopped.append,
+            self.ended.append,
+        )
+
+    def state(self, q: np.ndarray) -> None:
+        state = ArmState(np.array(q, dtype=float), time.monotonic(), 0.0, 0.0)
+        self.joints.add(state)
+        self.execution.on_state(state)
+        self.execution.tick()
+
+    def rest(self, q: np.ndarray, duration_s: float = 0.08) -> None:
+        self.play(lambda t: q, duration_s)
+
+    def play(self, q_of: Callable[[float], np.ndarray], duration_s: float) -> None:
+        began = time.monotonic()
+        while time.monotonic() - began < duration_s:
+            self.state(q_of(time.monotonic() - began))
+            time.sleep(0.005)
+
+    def send(self, duration_s: float = 0.3, commit: Callable[[], bool] = lambda: True, **settings: object) -> Motion | None:
+        plan = result(START, START + 0.2, duration_s)
+        return self.execution.send(7, plan, plan.trajectory, snapshot(**settings), commit)
+
+
+def snapshot(**settings: object) -> Snapshot:
+    return snapshot_from({**QUICK, **settings})
+
+
+@pytest.fixture
+def rig() -> Rig:
+    rig = Rig()
+    rig.rest(START)
+    return rig
+
+
+def refusal_of(call: Callable[[], object]) -> tuple[Status, str]:
+    with pytest.raises(Refusal) as caught:
+        call()
+    return caught.value.status, str(caught.value)
+
+
+def test_a_motion_that_is_followed_succeeds(rig: Rig) -> None:
+    motion = rig.send()
+    assert motion is not None
+    assert rig.execution.active
+    rig.play(lambda t: motion.trajectory.sample(max(t - 0.03, 0.0)), 0.5)
+    assert [ended.status for ended in rig.ended] == [Status.SUCCEEDED]
+    assert not rig.execution.active
+    assert len(rig.sent) == 1
+    assert rig.execution.last is motion
+
+
+def test_nothing_is_sent_when_it_must_not_be(rig: Rig) -> None:
+    assert refusal_of(lambda: rig.send(motion_enabled=False))[0] is Status.MOTION_DISABLED
+    rig.subscribers = 0
+    assert refusal_of(rig.send)[0] is Status.NO_CONTROLLER
+    rig.subscribers = 1
+    assert rig.send(commit=lambda: False) is None
+    rig.state(START + [0.0, 0.02, 0.0])
+    status, sentence = refusal_of(rig.send)
+    assert status is Status.ARM_MOVING
+    assert "j2 is 0.020 rad" in sentence
+    rig.state(START + [0.0, 2 * np.pi, 0.0])
+    assert refusal_of(rig.send)[0] is Status.ARM_MOVING, "a turn away is not the same place"
+    rig.state(START)
+    time.sleep(0.12)
+    assert refusal_of(lambda: rig.send(max_joint_state_age_s=0.1))[0] is Status.STALE_INPUT
+    assert not rig.sent
+    rig.state(START)
+    assert rig.send() is not None
+    assert refusal_of(rig.send)[0] is Status.ARM_MOVING
+    rig.execution.stop(Status.CANCELLED, "stop")
+    assert refusal_of(rig.send)[0] is Status.ARM_MOVING
+    assert len(rig.sent) == 2
+
+
+@pytest.mark.parametrize("controller", ["jtc", "kinova"])
+def test_a_stop_is_on_the_wire_at_once_and_ends_at_rest(rig: Rig, controller: str) -> None:
+    motion = rig.send(1.0, controller=controller)
+    assert motion is not None
+    rig.play(motion.trajectory.sample, 0.4)
+    began = time.monotonic()
+    assert rig.execution.stop(Status.CANCELLED, "stopped")
+    assert time.monotonic() - began < 0.05
+    assert rig.stopped == [motion]
+    stop = rig.sent[1]
+    assert not stop.velocities[-1].any()
+    if controller == "kinova":
+        assert (len(stop), stop.duration_s) == (1, 0.2)
+        assert np.allclose(stop.positions[0], motion.trajectory.sample(0.4), atol=0.02)
+    else:
+        assert len(stop) > 3
+        assert stop.positions[0] == pytest.approx(motion.trajectory.sample(0.42), abs=0.01)
+    assert rig.execution.stopping
+    assert not rig.ended
+    rig.rest(stop.positions[-1], 0.15)
+    assert [(ended.status, ended.sentence) for ended in rig.ended] == [(Status.CANCELLED, "stopped")]
+    assert not rig.execution.stop(Status.CANCELLED, "again")
+    assert len(rig.sent) == 2
+
+
+def test_an_arm_that_does_not_rest_after_a_stop_is_told(rig: Rig) -> None:
+    motion = rig.send(1.0)
+    assert motion is not None
+    rig.execution.stop(Status.CANCELLED, "stopped")
+    rig.play(lambda t: START + t, 0.6)
+    assert "could not be seen to rest" in rig.ended[0].sentence
+
+
+def test_a_stall_is_a_deviation(rig: Rig) -> None:
+    motion = rig.send(0.4, execution_tolerance_rad=0.05)
+    assert motion is not None
+    rig.play(lambda t: motion.trajectory.sample(min(t, 0.12)), 0.5)
+    assert rig.stopped == [motion]
+    assert len(rig.sent[1]) == 1, "one point, for the arm is not where the plan has it"
+    assert rig.ended[0].status is Status.EXECUTION_DEVIATED
+    assert "the limit is 0.05 rad" in rig.ended[0].sentence
+
+
+def test_stopping_short_of_the_end_is_a_deviation(rig: Rig) -> None:
+    motion = rig.send(0.2)
+    assert motion is not None
+    rig.play(lambda t: motion.trajectory.sample(t) - 0.2 * (motion.trajectory.sample(t) - START), 0.7)
+    assert rig.ended[0].status is Status.EXECUTION_DEVIATED
+    assert "0.040 rad from its last point" in rig.ended[0].sentence
+
+
+def test_silence_stops_the_motion(rig: Rig) -> None:
+    motion = rig.send(1.0, max_joint_state_age_s=0.15)
+    assert motion is not None
+    rig.play(motion.trajectory.sample, 0.2)
+    for _ in range(40):
+        rig.execution.tick()
+        time.sleep(0.005)
+    assert rig.stopped == [motion]
+    rig.rest(rig.sent[1].positions[-1], 0.15)
+    assert rig.ended[0].status is Status.STALE_INPUT
+    assert "silent" in rig.ended[0].sentence
+
+
+def test_a_motion_of_unknown_origin_is_held_on_request_only(rig: Rig) -> None:
+    assert not rig.execution.hold_foreign_motion(snapshot())
+    rig.play(lambda t: START + 0.5 * t, 0.1)
+    assert not rig.execution.hold_foreign_motion(snapshot(motion_enabled=False))
+    assert rig.execution.hold_foreign_motion(snapshot())
+    assert len(rig.sent[0]) == 1
+
+
+def test_deviation_allows_for_lag_and_names_the_joint() -> None:
+    planned = trajectory(np.zeros(3), np.array([1.0, 0.5, 0.0]), 1.0)
+    assert deviation(planned, planned.sample(0.3), 0.5, 0.3)[0] < 0.02
+    off, joint = deviation(planned, planned.sample(0.5) + [0.0, 0.2, 0.0], 0.5, 0.0)
+    assert (off, joint) == (pytest.approx(0.2), 1)
+
+
+def test_the_watch_stops_for_stems_only_while_something_runs(rig: Rig) -> None:
+    answers: list[object] = [Refusal(Status.TF_ERROR, "no transform"), ZeroDivisionError("oops"), None, "a stem stands there"]
+    warned: list[str] = []
+    looked = threading.Semaphore(0)
+
+    def look(motion: Motion, should_stop: Callable[[], bool]) -> str | None:
+        answer = answers.pop(0)
+        looked.release()
+        if isinstance(answer, Exception):
+            raise answer
+        return answer  # type: ignore[return-value]
+
+    watch = StemWatch(rig.execution, look, warned.append)
+    watch.notice()
+    time.sleep(0.05)
+    assert len(answers) == 4, "nothing runs"
+    rig.rest(START)
+    motion = rig.send(2.0)
+    for _ in range(4):
+        assert not rig.stopped
+        watch.notice()
+        assert looked.acquire(timeout=1.0)
+        time.sleep(0.03)
+    assert rig.stopped == [motion]
+    rig.rest(rig.sent[1].positions[-1], 0.15)
+    assert (rig.ended[0].status, rig.ended[0].sentence) == (Status.STEM_APPEARED, "a stem stands there")
+    assert "no transform" in warned[0]
+    assert "oops" in warned[1]
+    assert watch.close()
+    assert JOINTS
