@@ -24,11 +24,12 @@ from lime_planner.status import Status
 
 @dataclass(frozen=True)
 class Command:
-    """A command: its words, the module that carries it out, and one line of help."""
+    """A command: its words, the module that carries it out, one line of help, and an example where the module gives none."""
 
     words: tuple[str, ...]
     module: str
     summary: str
+    example: str = ""
 
 
 COMMANDS = (
@@ -38,8 +39,8 @@ COMMANDS = (
     Command(("scene", "tomatowur"), "lime_planner.cli_scene_tomatowur", "obtain public scans of real tomato plants"),
     Command(("scene", "info"), "lime_planner.cli_scene_info", "say what a scene file holds"),
     Command(("parameters",), "lime_planner.cli_parameters", "list every parameter that --set and the node understand"),
-    Command(("experiment", "wall"), "lime_planner.experiments.wall", "the paper's experiment on the plane"),
-    Command(("experiment", "lime"), "lime_planner.experiments.lime", "the paper's experiment with the arm"),
+    Command(("experiment", "wall"), "lime_planner.experiments.wall", "the paper's experiment on the plane", "--trials 20 --out wall"),
+    Command(("experiment", "lime"), "lime_planner.experiments.lime", "the paper's experiment with the arm", "--trials 20 --out lime"),
     Command(("bench", "kernels"), "lime_planner.experiments.kernels", "time of the compiled kernels"),
     Command(("bench", "peers"), "lime_planner.experiments.peers", "time and cost against other planners"),
 )
@@ -98,12 +99,13 @@ def build_parser(arguments: Sequence[str]) -> argparse.ArgumentParser:
             place = groups[group]
         leaf = place.add_parser(command.words[-1], help=command.summary, description=command.summary.capitalize() + ".")
         if words[: len(command.words)] == command.words:
-            _fill(leaf, importlib.import_module(command.module))
+            _fill(leaf, importlib.import_module(command.module), command)
     return parser
 
 
-def _fill(parser: argparse.ArgumentParser, module: ModuleType) -> None:
+def _fill(parser: argparse.ArgumentParser, module: ModuleType, command: Command) -> None:
     module.add_arguments(parser)
+    parser.epilog = parser.epilog or f"example:\n  lime-planner {' '.join(command.words)} {command.example}"
     parser.add_argument("--debug", action="store_true", help="print the traceback of an error")
     parser.set_defaults(run=module.run)
 

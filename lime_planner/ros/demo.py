@@ -159,7 +159,7 @@ def _drive(args: argparse.Namespace, values: Mapping[str, Any], robot: Robot, sc
         clock.say(f"starting scene_node, mock_arm_node and planner_node in ROS domain {corner.domain}, namespace {corner.namespace}")
         nodes.start("scene_node", "lime_planner.ros.scene_node", {"file": str(path.resolve())})
         nodes.start("mock_arm_node", "lime_planner.ros.mock_arm_node", {**arm, "controller": args.controller})
-        nodes.start("planner_node", "lime_planner.ros.planner_node", {**arm, **values})
+        nodes.start("planner_node", "lime_planner.ros.planner_node", {**arm, "controller": args.controller, **values})
         with DemoClient(corner, robot.joint_names, nodes.check) as client:
             client.wait(client.planner_serves, 30.0, "the planner's service and the arm's joint states")
             clock.say("all nodes are up; the planner loads its model (the first time ever it compiles: up to a minute or two)")
