@@ -17,8 +17,8 @@ BOX = '<collision><geometry><box size="0.1 0.1 0.1"/></geometry></collision>'
 
 def urdf(joint: str = "", link: str = BOX, rest: str = "", axis: str = "0 1 0") -> str:
     """Two joints on a base, with a hand of two fingers; `joint` goes into the second joint."""
-    return f"""<robot name="two"><link name="base">{BOX}</link><link name="upper">{BOX}</link><link name="lower">{link}</link><link name="hand"/>
-    <link name="left">{BOX}</link><link name="right">{BOX}</link><link name="end_effector"/>
+    return f"""<robot name="two"><link name="base">{BOX}</link><link name="upper">{BOX}</link><link name="lower">{link}</link>
+    <link name="hand"/>    <link name="left">{BOX}</link><link name="right">{BOX}</link><link name="end_effector"/>
     <joint name="a" type="continuous"><parent link="base"/><child link="upper"/><origin xyz="0 0 0.3"/><axis xyz="0 0 1"/></joint>
     <joint name="b" type="revolute"><parent link="upper"/><child link="lower"/><origin xyz="0 0 0.3"/><axis xyz="{axis}"/>
       <limit lower="-1" upper="2" effort="1" velocity="0.7"/>{joint}</joint>
@@ -143,7 +143,8 @@ def test_locked_joints_and_a_subset() -> None:
 
 
 def test_planning_frame_that_is_not_the_root() -> None:
-    rest = '<link name="world"/><joint name="w" type="fixed"><parent link="world"/><child link="base"/><origin xyz="1 2 3" rpy="0 0 1.5"/></joint>'
+    rest = '<link name="world"/><joint name="w" type="fixed"><parent link="world"/><child link="base"/>'
+    rest += '<origin xyz="1 2 3" rpy="0 0 1.5"/></joint>'
     at_world, at_base = robot_from_urdf(urdf(rest=rest)), robot_from_urdf(urdf(rest=rest), planning_frame="base")
     q = [0.3, 0.8]
     T_world_base = at_world.forward(q) @ np.linalg.inv(at_base.forward(q))

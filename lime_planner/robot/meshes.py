@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 import numpy.typing as npt
@@ -16,9 +17,12 @@ _SEGMENTS = 48  # of a cylinder's rim: the circumscribed prism is 0.2 % wider th
 _SUBDIVISIONS = 3  # of the icosahedron that becomes a sphere: 1280 triangles, 0.7 % wider than the sphere
 
 
-@dataclass(frozen=True)
+_BVH: WeakKeyDictionary[LinkMesh, Any] = WeakKeyDictionary()
+
+
+@dataclass(frozen=True, eq=False)
 class LinkMesh:
-    """All collision geometry of one link as one undecimated triangle mesh.
+    """All collision geometry of one link as one undecimated triangle mesh. Compared by identity.
 
     Attributes:
         name: the URDF's name of the link.
@@ -33,6 +37,20 @@ class LinkMesh:
     vertices: Array
     triangles: npt.NDArray[np.int32]
     gripper: bool
+
+
+def bvh_of(link: LinkMesh) -> Any:
+    """Return python-fcl's bounding volume hierarchy of a link's triangles (float64), built once for each link."""
+    import fcl
+
+    model = _BVH.get(link)
+    if model is None:
+        model = fcl.BVHModel()
+        model.beginModel(len(link.vertices), len(link.triangles))
+        model.addSubModel(link.vertices, link.triangles)
+        model.endModel()
+        _BVH[link] = model
+    return model
 
 
 def triangulate(shape: Any, name: str) -> tuple[Array, npt.NDArray[np.int32]]:

@@ -3,29 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from lime_planner.robot.kinematics import Chain, forward_kinematics
-from lime_planner.robot.meshes import LinkMesh
+from lime_planner.robot.meshes import LinkMesh, bvh_of
 
 Array = npt.NDArray[np.float64]
 
 _SAMPLES = 200
 _ALWAYS = 0.95  # as in MoveIt's setup assistant: more often in contact than this is contact by design
-
-
-def bvh_of(vertices: Array, triangles: npt.NDArray[np.int32]) -> Any:
-    """Return python-fcl's bounding volume hierarchy of a triangle mesh, (V, 3) float64 [m] and (T, 3)."""
-    import fcl
-
-    model = fcl.BVHModel()
-    model.beginModel(len(vertices), len(triangles))
-    model.addSubModel(vertices, triangles)
-    model.endModel()
-    return model
 
 
 def find_collision_pairs(
@@ -49,7 +37,7 @@ def find_collision_pairs(
     pairs = [
         (i, j) for i in range(len(links)) for j in range(i + 1, len(links)) if links[i].joint != links[j].joint and (i, j) not in adjacent
     ]
-    objects = [fcl.CollisionObject(bvh_of(link.vertices, link.triangles)) for link in links]
+    objects = [fcl.CollisionObject(bvh_of(link)) for link in links]
     rng = np.random.default_rng(0)
     low, high = np.where(np.isfinite(lower), lower, -np.pi), np.where(np.isfinite(upper), upper, np.pi)
     poses = np.empty((len(lower) + 1, 3, 4))
