@@ -40,6 +40,8 @@ _TO_POWERS = np.array(
 def thin(waypoints: Array, tolerance: float) -> tuple[npt.NDArray[np.int64], float]:
     """Choose the waypoints of a polyline that stays within `tolerance` of the given one, and the given one of it.
 
+    Distances are to the chord, ends included: a run to and fro beyond the tolerance is kept, even on one line.
+
     Args:
         waypoints: (M, n), M >= 1 [rad].
         tolerance: [rad], >= 0.
@@ -62,8 +64,6 @@ def thin(waypoints: Array, tolerance: float) -> tuple[npt.NDArray[np.int64], flo
         along = np.clip(offset @ chord / square, 0.0, 1.0) if square > 0.0 else np.zeros(len(offset))
         distance = np.linalg.norm(offset - along[:, None] * chord, axis=1)
         furthest = int(np.argmax(distance))
-        # A point that lies between its neighbours but behind an earlier one is part of a run to and fro; distances alone, taken
-        # against the whole chord, would allow that too, and within the tolerance it is harmless.
         if distance[furthest] > tolerance:
             split = first + 1 + furthest
             keep[split] = True
