@@ -94,11 +94,11 @@ def test_nothing_is_sent_when_it_must_not_be(rig: Rig) -> None:
     assert refusal_of(rig.send)[0] is Status.NO_CONTROLLER
     rig.subscribers = 1
     assert rig.send(commit=lambda: False) is None
-    rig.state(START + [0.0, 0.02, 0.0])
+    rig.state(START + np.array([0.0, 0.02, 0.0]))
     status, sentence = refusal_of(rig.send)
     assert status is Status.ARM_MOVING
     assert "j2 is 0.020 rad" in sentence
-    rig.state(START + [0.0, 2 * np.pi, 0.0])
+    rig.state(START + np.array([0.0, 2 * np.pi, 0.0]))
     assert refusal_of(rig.send)[0] is Status.ARM_MOVING, "a turn away is not the same place"
     rig.state(START)
     time.sleep(0.12)
@@ -187,7 +187,7 @@ def test_a_motion_of_unknown_origin_is_held_on_request_only(rig: Rig) -> None:
 def test_deviation_allows_for_lag_and_names_the_joint() -> None:
     planned = trajectory(np.zeros(3), np.array([1.0, 0.5, 0.0]), 1.0)
     assert deviation(planned, planned.sample(0.3), 0.5, 0.3)[0] < 0.02
-    off, joint = deviation(planned, planned.sample(0.5) + [0.0, 0.2, 0.0], 0.5, 0.0)
+    off, joint = deviation(planned, planned.sample(0.5) + np.array([0.0, 0.2, 0.0]), 0.5, 0.0)
     assert (off, joint) == (pytest.approx(0.2), 1)
 
 

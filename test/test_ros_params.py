@@ -1,0 +1,139 @@
+"""The parameter table as ROS parameters, and quality of service by what publishers offer."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import fields
+
+import pytest
+import rclpy
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+
+from lime_planner.errors import ParameterError
+from lime_planner.parameters import NODE_PARAMETERS, PARAMETERS
+from lime_planner.ros import qos
+from lime_planner.ros.params import NodeParameters, NodeSettings, snapshot_from
+
+
+@pytest.fixture(scope="module")
+def context() -> Iterator[rclpy.Context]:
+    context = rclpy.Context()
+    rclpy.init(context=context, domain_id=86)
+    yield context
+    context.try_shutdown()
+
+
+def make(context: rclpy.Context, *overrides: Parameter) -> tuple[Node, NodeParameters]:
+    node = Node("parameters", context=context, parameter_overrides=list(overrides))
+    return node, NodeParameters(node)
+
+
+def test_the_nodes_settings_are_the_nodes_table() -> None:
+    assert {field.name for field in fields(NodeSettings)} == set(NODE_PARAMETERS)
+
+
+def test_all_are_declared_with_descriptions(context: rclpy.Context) -> None:
+    node, params = make(context)
+    for name, parameter in {**PARAMETERS, **NODE_PARAMETERS}.items():
+        descriptor = node.describe_parameter(name)
+        assert descriptor.description.startswith(parameter.description), name
+        assert descriptor.read_only == parameter.read_only
+        value = node.get_parameter(name).value
+        assert (list(value) if isinstance(parameter.default, list) else value) == parameter.default, name
+    assert params.snapshot.plan.time_budget_s == 0.5
+    assert params.snapshot.node.motion_enabled is True
+    node.destroy_node()
+
+
+def test_start_values_are_checked_and_converted(context: rclpy.Context) -> None:
+    given = [
+        Parameter("time_budget_s", value=2),
+        Parameter("keep_out_boxes", value=[0, 0, 0, 1, 1, 1]),
+        Parameter("leaf_labels", value=[3, 4]),
+    ]
+    node, params = make(context, *given)
+    assert params.snapshot.plan.time_budget_s == 2.0
+    assert params.snapshot.plan.keep_out_boxes == (0.0, 0.0, 0.0, 1.0, 1.0, 1.0)
+    assert params.snapshot.node.leaf_labels == (3, 4)
+    node.destroy_node()
+    for bad in (Parameter("time_budget_s", value=-1.0), Parameter("controller", value="hal"), Parameter("keep_out_boxes", value=[1.0])):
+        node = Node("parameters", context=context, parameter_overrides=[bad])
+        with pytest.raises(ParameterError, match=bad.name):
+            NodeParameters(node)
+        node.destroy_node()
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "words"),
+    [
+        ("time_budget_s", -1.0, "time_budget_s"),
+        ("time_budget_s", "soon", "time_budget_s must be a number"),
+        ("time_budget_s", float("nan"), "out of range"),
+        ("planner", "magic", "allowed: one of lime_star"),
+        ("velocity_scaling", 1.5, "velocity_scaling"),
+        ("motion_enabled", 1, "motion_enabled must be a bool"),
+        ("keep_out_boxes", [0.0, 0.0], "multiple of 6"),
+        ("keep_out_boxes", [1.0, 0.0, 0.0, 0.0, 1.0, 1.0], "minimum"),
+        ("leaf_labels", [1], "stem_labels 1"),
+        ("robot", "topic", "read-only"),
+        ("iterations", 2.5, "whole number"),
+    ],
+)
+def test_bad_values_are_refused_with_a_reason(context: rclpy.Context, name: str, value: object, words: str) -> None:
+    node, params = make(context)
+    before = params.snapshot
+    outcome = node.set_parameters([Parameter(name, value=value)])[0]
+    assert not outcome.successful
+    assert words in outcome.reason
+    assert params.snapshot == before
+    node.destroy_node()
+
+
+def test_a_snapshot_does_not_change(context: rclpy.Context) -> None:
+    node, params = make(context)
+    before = params.snapshot
+    assert node.set_parameters([Parameter("c_perm", value=7.0), Parameter("motion_enabled", value=False)])[1].successful
+    assert node.set_parameters([Parameter("workspace_box", value=[-1, -1, 0, 1, 1, 1])])[0].successful
+    assert (before.plan.c_perm, before.node.motion_enabled) == (100.0, True)
+    assert (params.snapshot.plan.c_perm, params.snapshot.node.motion_enabled) == (7.0, False)
+    assert params.snapshot.plan.workspace_box == (-1.0, -1.0, 0.0, 1.0, 1.0, 1.0)
+    atomic = node.set_parameters_atomically([Parameter("c_perm", value=8.0), Parameter("seed", value=-4)])
+    assert not atomic.successful
+    assert params.snapshot.plan.c_perm == 7.0
+    node.destroy_node()
+
+
+def test_classes_have_one_meaning() -> None:
+    with pytest.raises(ParameterError, match="ignored_labels 0"):
+        snapshot_from({"ignored_labels": [0]})
+
+
+def offer(reliability: ReliabilityPolicy, durability: DurabilityPolicy) -> QoSProfile:
+    return QoSProfile(depth=5, reliability=reliability, durability=durability)
+
+
+RELIABLE, EFFORT = ReliabilityPolicy.RELIABLE, ReliabilityPolicy.BEST_EFFORT
+LATCHED, VOLATILE = DurabilityPolicy.TRANSIENT_LOCAL, DurabilityPolicy.VOLATILE
+
+
+@pytest.mark.parametrize(
+    ("offers", "wanted"),
+    [
+        ([], (RELIABLE, VOLATILE)),
+        ([(RELIABLE, VOLATILE)], (RELIABLE, VOLATILE)),
+        ([(RELIABLE, LATCHED)], (RELIABLE, LATCHED)),
+        ([(EFFORT, VOLATILE)], (EFFORT, VOLATILE)),
+        ([(RELIABLE, VOLATILE), (EFFORT, VOLATILE)], (EFFORT, VOLATILE)),
+        ([(RELIABLE, VOLATILE), (RELIABLE, LATCHED)], (RELIABLE, VOLATILE)),
+        ([(EFFORT, LATCHED)], (EFFORT, VOLATILE)),
+    ],
+)
+def test_subscriptions_follow_the_offers(offers: list, wanted: tuple) -> None:
+    profile = qos.matching_profile(qos.NEWEST, [offer(*each) for each in offers])
+    assert (profile.reliability, profile.durability, profile.depth) == (*wanted, 1)
+
+
+def test_a_motion_command_is_never_latched() -> None:
+    assert (qos.COMMAND.durability, qos.COMMAND.reliability, qos.COMMAND.depth) == (VOLATILE, RELIABLE, 1)
