@@ -4,12 +4,11 @@ ros2 launch lime_planner demo.launch.py [scene:=file.npz] [seed:=1] [controller:
 ros2 service call /lime_planner/plan std_srvs/srv/Trigger
 """
 
+from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument, SetEnvironmentVariable
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
-
-from launch import LaunchDescription
 
 
 def generate_launch_description():

@@ -5,11 +5,10 @@ ros2 launch lime_planner kinova.launch.py model:=j2s6s200
 
 from pathlib import Path
 
+from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument, OpaqueFunction
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
-
-from launch import LaunchDescription
 
 CONFIG = Path(__file__).resolve().parent.parent / "config"
 MODELS = ["j2s6s200", "j2n6s300"]

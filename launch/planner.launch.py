@@ -5,11 +5,10 @@ ros2 launch lime_planner planner.launch.py params:=/path/to/planner.yaml namespa
 
 from pathlib import Path
 
+from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
-
-from launch import LaunchDescription
 
 CONFIG = Path(__file__).resolve().parent.parent / "config"
 

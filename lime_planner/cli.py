@@ -47,6 +47,9 @@ COMMANDS = (
 
 GROUPS = {"scene": "make, obtain and inspect scenes", "experiment": "the paper's tables and figures", "bench": "measurements"}
 
+#: The extra of the package that brings a library.
+_EXTRAS = {"rclpy": "ros", "pingouin": "experiments", "pandas": "experiments"}
+
 _EXAMPLES = """\
 examples:
   lime-planner scene plant --seed 3 --out plant.npz
@@ -121,6 +124,12 @@ def main(argv: Sequence[str] | None = None) -> int:
         if args.debug:
             traceback.print_exc()
         print(Status.BAD_INPUT.message(str(error)), file=sys.stderr)
+    except ModuleNotFoundError as error:
+        if args.debug:
+            traceback.print_exc()
+        root = (error.name or "").split(".")[0]
+        advice = f"; pip install 'lime_planner[{_EXTRAS[root]}]' brings it" if root in _EXTRAS else ""
+        print(Status.INTERNAL_ERROR.message(f"the library {root!r} is not installed{advice}"), file=sys.stderr)
     except KeyboardInterrupt:
         print(Status.CANCELLED.message("stopped by the keyboard"), file=sys.stderr)
         return 130

@@ -142,7 +142,7 @@ fi
 : >"$partial"
 
 # --- Dependencies and the package --------------------------------------------------------------------------------------------
-extras=test,colcon
+extras=experiments,test,colcon
 if [[ $ros == wheels ]]; then
   extras=ros,$extras
   unset PYTHONPATH

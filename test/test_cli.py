@@ -91,6 +91,17 @@ def test_a_defect_is_one_line_too(monkeypatch: pytest.MonkeyPatch, capsys: pytes
     assert capsys.readouterr().err == "INTERNAL_ERROR: ZeroDivisionError: a b (--debug prints where)\n"
 
 
+def test_a_missing_library_is_named_with_its_extra(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    from lime_planner import cli_scene_info
+
+    def needs_ros(_: object) -> int:
+        raise ModuleNotFoundError("No module named 'rclpy'", name="rclpy.node")
+
+    monkeypatch.setattr(cli_scene_info, "run", needs_ros)
+    assert run("scene", "info", "x.npz") == 1
+    assert capsys.readouterr().err == "INTERNAL_ERROR: the library 'rclpy' is not installed; pip install 'lime_planner[ros]' brings it\n"
+
+
 def test_wrong_usage_is_status_2(capsys: pytest.CaptureFixture[str]) -> None:
     assert run("plan") == 2
     assert run("plan", "x.npz", "--time", "1", "--iterations", "5") == 2

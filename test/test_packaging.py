@@ -47,11 +47,12 @@ def imported_roots(folder: Path) -> set[str]:
     return roots - set(sys.stdlib_module_names) - {"lime_planner", ""}
 
 
-def requirements() -> set[str]:
-    """Import names of INSTALL_REQUIRES of setup.py."""
+def requirements(extra: str | None = None) -> set[str]:
+    """Import names of setup.py's INSTALL_REQUIRES, or of one of its EXTRAS_REQUIRE."""
     tree = ast.parse((ROOT / "setup.py").read_text(encoding="utf-8"))
-    values = [node.value for node in tree.body if isinstance(node, ast.Assign) and getattr(node.targets[0], "id", "") == "INSTALL_REQUIRES"]
-    names = {re.split(r"[<>=;\[ ]", text)[0].lower().replace("-", "_") for text in ast.literal_eval(values[0])}
+    lists = {getattr(node.targets[0], "id", ""): node.value for node in tree.body if isinstance(node, ast.Assign)}
+    texts = ast.literal_eval(lists["INSTALL_REQUIRES"]) if extra is None else ast.literal_eval(lists["EXTRAS_REQUIRE"])[extra]
+    names = {re.split(r"[<>=;\[ ]", text)[0].lower().replace("-", "_") for text in texts}
     return {IMPORT_NAMES.get(name, name) for name in names}
 
 
@@ -76,7 +77,7 @@ def test_maintainer_has_an_address_that_colcon_accepts() -> None:
 
 def test_every_library_imported_is_required_and_none_else() -> None:
     imported = {root for root in imported_roots(ROOT / "lime_planner") if not is_ros(root)}
-    assert imported - BROUGHT_ALONG == requirements() - DATA_ONLY
+    assert imported - BROUGHT_ALONG == (requirements() | requirements("experiments")) - DATA_ONLY
 
 
 def test_rosdep_keys_match() -> None:

@@ -201,7 +201,7 @@ def _compare(
     assert scene.target_pose is not None
     clock.say("for comparison, the same reach with leaves as solid obstacles and with leaves ignored")
     q_start = driven.states[0] if len(driven.states) else home(robot)
-    columns = []
+    columns: list[tuple[str, Mapping[str, Any]]] = []
     for heading, policy in (("leaves solid", "solid"), ("leaves ignored", "ignored")):
         settings = settings_from({**planning, "leaf_policy": policy})
         result = pipeline.plan(scene, pose_to_matrix(scene.target_pose), q_start, settings, seed=settings.seed or 1)
