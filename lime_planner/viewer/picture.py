@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from lime_planner.atomic import replacing
 from lime_planner.errors import ParameterError
 from lime_planner.robot.model import Robot
 from lime_planner.scene.scene import Scene
@@ -114,15 +115,11 @@ def draw_picture(
 
 
 def _write(figure: Any, path: Path) -> Path:
-    temporary = path.with_name(f".{path.stem}-{os.getpid()}{path.suffix}")
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        figure.savefig(temporary, dpi=200, facecolor="white")
-        os.replace(temporary, path)
+        with replacing(path) as temporary:
+            figure.savefig(temporary, dpi=200, facecolor="white")
     except OSError as error:
         raise ParameterError(f"{path}: cannot be written ({error.strerror or error})") from error
-    finally:
-        temporary.unlink(missing_ok=True)
     return path
 
 
