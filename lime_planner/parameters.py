@@ -77,10 +77,11 @@ _TABLE = (
     Parameter("max_leaf_contact_rad", -1.0, "Refuse paths with more leaf contact than this (LEAF_BUDGET_EXCEEDED); negative: off.", "rad", -1.0, 100.0),
     Parameter("beta", 1.0, "Strength of the adaptive potential field in apf_rrt_star (β).", "", 0.0, 100.0),
     Parameter("k_att", 50.0, "Attractive gain of the potential field in joint space (K_att).", "1/rad²", 0.0, 1e9),
-    Parameter("k_rep_leaf", 0.5, "Repulsive gain of leaves (K_rep), for workspace distances.", "m²", 0.0, 1e9),
-    Parameter("k_rep_stem", 0.5, "Repulsive gain of stems (K_rep), for workspace distances.", "m²", 0.0, 1e9),
-    Parameter("d_star_m", 0.05, "Range of the repulsive field (d*), a workspace distance.", "m", 0.001, 10.0),
+    Parameter("k_rep_leaf", 2e-4, "Repulsive gain of leaves (K_rep), for workspace distances.", "m²", 0.0, 1e9),
+    Parameter("k_rep_stem", 2e-4, "Repulsive gain of stems (K_rep), for workspace distances.", "m²", 0.0, 1e9),
+    Parameter("d_star_m", 0.1, "Range of the repulsive field (d*), a workspace distance.", "m", 0.001, 10.0),
     Parameter("goal_radius_rad", 0.3, "The paper's planners join the goal from nodes within this distance of it.", "rad", 0.0, 10.0),
+    Parameter("goal_bias", 0.05, "Share of the paper's planners' samples that are a goal; the paper names none.", "", 0.0, 1.0),
     Parameter("ik_starts", 200, "Random starts of the inverse kinematics.", "", 1, 100_000),
     Parameter("max_goals", 24, "Goal configurations handed to the search, the most promising first.", "", 1, 1000),
     Parameter("stem_margin_m", 0.005, "Clearance to stems that the search keeps, beyond their radius; less only close to a start or goal that has less.", "m", 0.0, 0.2),
@@ -159,6 +160,7 @@ class Settings:
     k_rep_stem: float
     d_star_m: float
     goal_radius_rad: float
+    goal_bias: float
     ik_starts: int
     max_goals: int
     stem_margin_m: float

@@ -1,0 +1,147 @@
+"""From a path to a motion that may leave: exact certificate, timing, contract, figures."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from lime_planner.motion.contract import violations
+from lime_planner.motion.timing import time_path
+from lime_planner.motion.trajectory import Trajectory
+from lime_planner.parameters import Settings
+from lime_planner.pipeline.obstacles import Obstacles
+from lime_planner.poses import matrix_to_pose
+from lime_planner.robot.collision import LEAF, check
+from lime_planner.robot.exact import ExactChecker
+from lime_planner.robot.model import Robot
+
+Array = npt.NDArray[np.float64]
+
+CERTIFIED_STEP_RAD = 0.01  # spacing of the exact check along a path
+MEASURED_STEP_RAD = 0.02  # spacing of the figures
+_MAX_TOOL_POSES = 500
+
+
+def sample_path(waypoints: Array, step_rad: float) -> tuple[Array, Array]:
+    """Sample a polyline at most `step_rad` apart, waypoints included.
+
+    Returns:
+        (K, n) configurations and (K,) lengths along the path [rad].
+    """
+    rows, lengths = [waypoints[:1]], [np.zeros(1)]
+    along = 0.0
+    for a, b in zip(waypoints[:-1], waypoints[1:], strict=True):
+        length = float(np.linalg.norm(b - a))
+        steps = max(1, int(np.ceil(length / step_rad)))
+        t = np.arange(1, steps + 1)[:, None] / steps
+        rows.append(a + t * (b - a))
+        lengths.append(along + length * t[:, 0])
+        along += length
+    return np.vstack(rows), np.concatenate(lengths)
+
+
+def hit_of(checker: ExactChecker, configurations: Array, should_stop: Callable[[], bool]) -> str | None:
+    """Check configurations exactly, ends and middle first; the contact found in words, None if there is none."""
+    certificate = checker.certify(configurations, should_stop)
+    if certificate.ok or certificate.hit is None:
+        return None
+    return f"{certificate.hit} at sample {certificate.index} of {len(configurations)}"
+
+
+def leaf_profile(obstacles: Obstacles, configurations: Array) -> tuple[Array, Array]:
+    """Leaf intensity and clearance to stems [m] at configurations (K, n)."""
+    space = obstacles.measuring_space()
+    leaf, clear = np.zeros(len(configurations)), np.zeros(len(configurations))
+    for i, q in enumerate(np.ascontiguousarray(configurations)):
+        check(space.chain, space.shapes, space.world, space.scratch, q, True, -np.inf, space.state)
+        leaf[i] = space.state.misc[LEAF]
+        clear[i] = space.state.clear.min()
+    return leaf, clear
+
+
+def make_trajectory(robot: Robot, waypoints: Array, obstacles: Obstacles, settings: Settings) -> Trajectory:
+    """Time a path within the robot's scaled limits, slower inside leaves where the settings ask for it."""
+    scale: Callable[[Array], Array] | None = None
+    if settings.leaf_speed_scale < 1.0:
+        rows, lengths = sample_path(waypoints, MEASURED_STEP_RAD)
+        slow = leaf_profile(obstacles, rows)[0] > 0.0
+        slow |= np.concatenate([slow[1:], [False]]) | np.concatenate([[False], slow[:-1]])
+        values = np.where(slow, settings.leaf_speed_scale, 1.0)
+
+        def scale(p: Array) -> Array:
+            after = np.clip(np.searchsorted(lengths, p), 1, len(lengths) - 1)
+            return np.minimum(values[after - 1], values[after])
+
+    return time_path(
+        waypoints,
+        robot.velocity_limits,
+        robot.acceleration_limits,
+        joint_names=robot.joint_names,
+        dt_s=settings.trajectory_dt_s,
+        velocity_scaling=settings.velocity_scaling,
+        acceleration_scaling=settings.acceleration_scaling,
+        corner_tolerance_rad=settings.corner_tolerance_rad,
+        speed_scale=scale,
+    )
+
+
+def contract_violations(robot: Robot, trajectory: Trajectory, q_measured: Array, settings: Settings) -> list[str]:
+    """The rules of the motion command that a trajectory breaks, as sentences."""
+    window = 2.0 * np.pi
+    return violations(
+        trajectory,
+        q_measured=q_measured,
+        lower=np.where(robot.continuous, q_measured - window - 1e-6, robot.lower),
+        upper=np.where(robot.continuous, q_measured + window + 1e-6, robot.upper),
+        velocity_limits=robot.velocity_limits,
+        acceleration_limits=robot.acceleration_limits,
+        velocity_scaling=settings.velocity_scaling,
+        acceleration_scaling=settings.acceleration_scaling,
+        joint_names=robot.joint_names,
+    )
+
+
+def path_figures(obstacles: Obstacles, checker: ExactChecker, waypoints: Array, T_base_tool: Array | None) -> dict[str, Any]:
+    """The figures of `PlanResult` that describe a path."""
+    robot, settings = obstacles.robot, obstacles.settings
+    rows, lengths = sample_path(waypoints, MEASURED_STEP_RAD)
+    leaf, clear = leaf_profile(obstacles, rows)
+    ds = np.diff(lengths)
+    touching = (leaf > 0.0).astype(np.float64)
+    contact = float((0.5 * (touching[1:] + touching[:-1]) * ds).sum())
+    intensity = float((0.5 * (leaf[1:] + leaf[:-1]) * ds).sum())
+    length = float(lengths[-1])
+    poses = [robot.forward(q) for q in rows]
+    places = np.array([T[:3, 3] for T in poses])
+    hops = np.linalg.norm(np.diff(places, axis=0), axis=1)
+    lowest = int(np.argmin(clear))
+    clearance = float(clear[lowest])
+    if clearance < 0.05 and len(obstacles.hard):
+        clearance = min(clearance, checker.stem_distance(rows[lowest]))
+    at_nodes = leaf_profile(obstacles, waypoints)[0]
+    node_metric = settings.planner != "lime_star"
+    collision = settings.c_perm * float(at_nodes.sum()) if node_metric else settings.weight * intensity
+    keep = np.unique(np.linspace(0, len(rows) - 1, min(len(rows), _MAX_TOOL_POSES)).round().astype(int))
+    figures: dict[str, Any] = {
+        "cost": length + collision,
+        "cost_metric": "node" if node_metric else "integral",
+        "path_length_rad": length,
+        "collision_cost": collision,
+        "n_collision_nodes": int((at_nodes > 0.0).sum()),
+        "leaf_contact_rad": contact,
+        "tool_path_length_m": float(hops.sum()),
+        "tool_leaf_contact_m": float((0.5 * (touching[1:] + touching[:-1]) * hops).sum()),
+        "min_stem_clearance_m": clearance,
+        "waypoints": waypoints,
+        "tool_path": np.array([matrix_to_pose(poses[k]) for k in keep]),
+        "tool_leaf": leaf[keep],
+    }
+    if T_base_tool is not None:
+        T_tool_target = np.linalg.inv(poses[-1]) @ T_base_tool
+        figures["goal_error_m"] = float(np.linalg.norm(T_tool_target[:3, 3]))
+        cosine = np.clip((np.trace(T_tool_target[:3, :3]) - 1.0) / 2.0, -1.0, 1.0)
+        figures["goal_error_rad"] = float(np.arccos(cosine))
+    return figures

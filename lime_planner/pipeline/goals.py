@@ -1,0 +1,120 @@
+"""Where the arm starts and where it may end: checked configurations for the search."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from lime_planner.pipeline.obstacles import Obstacles
+from lime_planner.robot.arm_space import ArmSpace
+from lime_planner.robot.collision import LEAF, SELF, SELF_CLEARANCE_M, check
+from lime_planner.robot.exact import ExactChecker
+from lime_planner.robot.ik import solve_ik
+from lime_planner.status import Status
+
+Array = npt.NDArray[np.float64]
+
+MODEL_ERROR_M = 0.001  # a goal's clearance in the fast model must exceed what the model may be wrong by
+_BELOW_OWN_M = 0.0004  # at an anchor a little less than its own clearance is required
+_BOX_SLACK_RAD = np.pi / 2  # the sampling box reaches this far beyond start and goals
+
+
+@dataclass(frozen=True)
+class Goals:
+    """Goal configurations, or why there are none.
+
+    Attributes:
+        configurations: (G, n) unwrapped near the start, most promising first.
+        anchors: (A, n) start and goals with less clearance than the margin, needs: (A,) what to require there [m].
+        status, sentence: NO_IK_SOLUTION or GOAL_IN_STEM with the reason; None if there are goals.
+        found: how many solutions inverse kinematics gave.
+    """
+
+    configurations: Array
+    anchors: Array
+    needs: Array
+    status: Status | None
+    sentence: str
+    found: int
+
+
+def measure(space: ArmSpace, q: Array) -> tuple[float, float, float]:
+    """Clearance to everything hard, to the arm itself, and leaf intensity at q, whatever is required there."""
+    check(space.chain, space.shapes, space.world, space.scratch, q, True, -np.inf, space.state)
+    return float(space.state.clear.min()), float(space.state.misc[SELF]), float(space.state.misc[LEAF])
+
+
+def examine_start(obstacles: Obstacles, checker: ExactChecker, q_start: Array) -> tuple[Status, str] | None:
+    """Return the reason why the arm cannot start where it stands, or None.
+
+    A start inside the stem margin is no reason; a start that touches a stem by its exact meshes is.
+    """
+    sentence = obstacles.robot.limit_violation(q_start, tolerance_rad=1e-3)
+    if sentence is not None:
+        return Status.START_INVALID, sentence
+    hit = checker.stem_hit(q_start)
+    if hit is None:
+        return None
+    status = Status.START_IN_STEM if hit.what == "stem" else Status.START_INVALID
+    return status, f"where the arm stands, {hit}"
+
+
+def find_goals(obstacles: Obstacles, checker: ExactChecker, T_base_tool: Array, q_start: Array, rng: np.random.Generator) -> Goals:
+    """Solve inverse kinematics and sort the solutions into goals.
+
+    A solution that the fast model finds too close is asked about once more, exactly: nothing that the meshes accept by
+    `MODEL_ERROR_M` or more is lost.
+    """
+    settings = obstacles.settings
+    n = obstacles.robot.n
+    none = np.zeros((0, n))
+    ik = solve_ik(obstacles.robot, T_base_tool, q_start, rng, starts=settings.ik_starts)
+    if len(ik.solutions) == 0:
+        return Goals(none, none, np.zeros(0), Status.NO_IK_SOLUTION, ik.sentence, 0)
+    space = obstacles.measuring_space()
+    margin = obstacles.world.margin
+    kept: list[tuple[float, Array, float]] = []
+    hits: dict[str, int] = {}
+    for q in ik.solutions:
+        clear, own, leaf = measure(space, q)
+        if clear < MODEL_ERROR_M or own < SELF_CLEARANCE_M:
+            hit = checker.stem_hit(q)
+            what = hit.what if hit is not None else "stem"
+            hits[what] = hits.get(what, 0) + 1
+            continue
+        rank = float(np.linalg.norm(q - q_start)) + (1.0 if leaf > 0.0 else 0.0)
+        kept.append((rank, q, clear))
+    if not kept:
+        parts = ", ".join(f"{count} {_IN_WORDS[what]}" for what, count in sorted(hits.items()))
+        sentence = f"all {len(ik.solutions)} configurations that reach the target are blocked: {parts}"
+        return Goals(none, none, np.zeros(0), Status.GOAL_IN_STEM, sentence, len(ik.solutions))
+    kept.sort(key=lambda item: item[0])
+    kept = kept[: settings.max_goals]
+    start_clear = measure(space, q_start)[0]
+    tight = [(q, max(MODEL_ERROR_M - _BELOW_OWN_M, clear - _BELOW_OWN_M)) for _, q, clear in kept if clear < margin + _BELOW_OWN_M]
+    if start_clear < margin + _BELOW_OWN_M:
+        tight.append((q_start, max(0.0, start_clear - _BELOW_OWN_M)))
+    anchors = np.array([q for q, _ in tight]).reshape(-1, n)
+    needs = np.array([need for _, need in tight])
+    return Goals(np.array([q for _, q, _ in kept]), anchors, needs, None, "", len(ik.solutions))
+
+
+_IN_WORDS = {
+    "stem": "in a stem",
+    "self": "in collision with the arm itself",
+    "keep_out": "in a keep-out box",
+    "floor": "below the floor",
+    "workspace": "outside the workspace box",
+}
+
+
+def sampling_box(obstacles: Obstacles, q_start: Array, goals: Array) -> tuple[Array, Array]:
+    """Bounds for samples: around start and goals, within the limits and ±2π of the start."""
+    robot = obstacles.robot
+    everything = np.vstack([q_start[None], goals])
+    window = 2.0 * np.pi
+    lower = np.maximum(everything.min(axis=0) - _BOX_SLACK_RAD, np.where(robot.continuous, q_start - window, robot.lower))
+    upper = np.minimum(everything.max(axis=0) + _BOX_SLACK_RAD, np.where(robot.continuous, q_start + window, robot.upper))
+    return np.minimum(lower, everything.min(axis=0)), np.maximum(upper, everything.max(axis=0))

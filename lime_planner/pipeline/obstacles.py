@@ -1,0 +1,152 @@
+"""From a labelled scene, a target and the settings to what the searches and the exact check ask."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from lime_planner.parameters import Settings
+from lime_planner.robot.arm_space import ArmSpace, make_arm_space
+from lime_planner.robot.collision import BINARY, GRADED, GRADED_CELL_M, World, empty_world
+from lime_planner.robot.exact import ExactChecker
+from lime_planner.robot.model import Robot
+from lime_planner.robot.shapes import Shapes
+from lime_planner.scene.fields import build_fields
+from lime_planner.scene.scene import Scene
+from lime_planner.scene.voxels import thin
+
+Array = npt.NDArray[np.float64]
+Float32 = npt.NDArray[np.float32]
+
+LEAF_VOXEL_M = 0.004  # leaves are thinned to this: about the leaf points' own radius
+_BEYOND_REACH_M = 0.1
+_NO_FLOOR_M = -999.0
+_MEASURED_CLEARANCE_M = 0.05  # clearances are exact up to this when a path is measured
+_MARGIN_SLOPE = 0.02  # m per rad: how fast the margin is regained on leaving a start or goal that has less
+
+
+@dataclass(frozen=True, eq=False)
+class Obstacles:
+    """One scene as obstacles for one arm and one target.
+
+    Attributes:
+        robot, shapes: the arm.
+        world: for searches.
+        hard: (P, 3) impermeable points; leaves: (L, 3) leaf points, thinned.
+        settings: as used.
+        target: (3,) centre of the exclusion sphere, None without target.
+        counts: what was used and hidden.
+    """
+
+    robot: Robot
+    shapes: Shapes
+    world: World
+    hard: Float32
+    leaves: Float32
+    settings: Settings
+    target: Array | None
+    counts: dict[str, int]
+
+    def space(self, lower: Array, upper: Array, *, leaves: bool | None = None) -> ArmSpace:
+        """A joint space with memory of its own; leaves matter unless they are ignored by the settings or by the argument."""
+        matter = self.settings.leaf_policy != "ignored" if leaves is None else leaves
+        return make_arm_space(lower, upper, self.robot.chain, self.shapes, self.world, leaves=matter)
+
+    def measuring_space(self) -> ArmSpace:
+        """A space that takes every configuration and measures clearances farther out."""
+        unlimited = np.full(self.robot.n, 1e9)
+        measuring = self.world._replace(margin=_MEASURED_CLEARANCE_M, anchors=np.zeros((0, self.robot.n)), anchor_need=np.zeros(0))
+        return make_arm_space(-unlimited, unlimited, self.robot.chain, self.shapes, measuring)
+
+    def with_anchors(self, anchors: Array, needs: Array) -> Obstacles:
+        """The same with less clearance required at some configurations.
+
+        Args:
+            anchors: (A, n) configurations; needs: (A,) clearance required there [m].
+        """
+        world = self.world._replace(
+            anchors=np.ascontiguousarray(anchors, dtype=np.float64), anchor_need=np.ascontiguousarray(needs, dtype=np.float64)
+        )
+        return dataclasses.replace(self, world=world)
+
+    def with_margin(self, margin_m: float) -> Obstacles:
+        """The same with another margin."""
+        return dataclasses.replace(self, world=self.world._replace(margin=margin_m))
+
+    def exact_checker(self) -> ExactChecker:
+        """An exact checker of the same obstacles."""
+        s = self.settings
+        boxes = np.array(s.keep_out_boxes, dtype=np.float64).reshape(-1, 6)
+        return ExactChecker(
+            self.robot,
+            self.hard,
+            point_radius_m=s.stem_point_radius_m,
+            leaf_points=self.leaves,
+            leaf_point_radius_m=s.leaf_point_radius_m,
+            keep_out_boxes=boxes,
+            floor_z_m=s.floor_z_m if s.floor_z_m > _NO_FLOOR_M else None,
+            workspace_box=np.array(s.workspace_box) if s.workspace_box else None,
+            exclusion_centre=self.target if s.target_exclusion_radius_m > 0.0 else None,
+            exclusion_radius_m=s.target_exclusion_radius_m,
+            approach_zone_m=s.approach_zone_m,
+        )
+
+
+def _patch_weights(points: Float32, costs: Float32) -> Float32:
+    """Weights that add up to the permeability cost in each graded cell, however many points it holds."""
+    cells = np.floor(points / GRADED_CELL_M).astype(np.int64)
+    _, inverse, counts = np.unique(cells, axis=0, return_inverse=True, return_counts=True)
+    return np.asarray(costs / counts[inverse.ravel()], dtype=np.float32)
+
+
+def prepare(robot: Robot, shapes: Shapes, scene: Scene, target: Array | None, settings: Settings) -> Obstacles:
+    """Build fields and obstacles.
+
+    Args:
+        robot, shapes: the arm.
+        scene: in the planning frame.
+        target: (3,) position of the tool at the target [m], or None for a check without one.
+        settings: radii, margins, keep-outs, leaf policy.
+    """
+    hard = scene.impermeable_points(target, settings.target_exclusion_radius_m)
+    leaf, costs = scene.leaf_points, scene.leaf_costs
+    reach = robot.reach_m + _BEYOND_REACH_M
+    hard = hard[np.einsum("ij,ij->i", hard, hard) <= reach * reach]
+    near = np.einsum("ij,ij->i", leaf, leaf) <= reach * reach
+    leaf, costs = leaf[near], costs[near]
+    if settings.leaf_policy == "solid":
+        hard = np.concatenate([hard, leaf])
+    kept, stands_for = thin(leaf, LEAF_VOXEL_M) if len(leaf) else (np.zeros(0, np.int32), np.zeros(0, np.int32))
+    thinned_costs = costs[kept].copy()
+    if (costs != 1.0).any():
+        np.maximum.at(thinned_costs, stands_for, costs)
+    thinned = np.ascontiguousarray(leaf[kept])
+    touched = thinned_costs > 0.0  # a leaf that costs nothing is free space
+    thinned, thinned_costs = thinned[touched], thinned_costs[touched]
+    graded = settings.leaf_cost == "graded"
+    weights = _patch_weights(thinned, thinned_costs) if graded else thinned_costs
+    fields = build_fields(hard, thinned, weights, spacing_m=settings.voxel_m)
+    counts = dict(scene.counts) | {"stem_points_used": len(hard), "leaf_points_used": len(thinned)}
+    exclusion = np.zeros(4)
+    if target is not None and settings.target_exclusion_radius_m > 0.0:
+        exclusion[:] = (*target, settings.target_exclusion_radius_m)
+        counts["stem_points_hidden"] = int((np.linalg.norm(hard - target, axis=1) < settings.target_exclusion_radius_m).sum())
+    infinite = np.array([[-1e10] * 3, [1e10] * 3])
+    world = empty_world(
+        fields,
+        robot.n,
+        stem_radius=settings.stem_point_radius_m,
+        leaf_radius=settings.leaf_point_radius_m,
+        margin=settings.stem_margin_m + scene.stem_displacement_m,
+        boxes=np.array(settings.keep_out_boxes, dtype=np.float64).reshape(-1, 2, 3),
+        floor_z=settings.floor_z_m if settings.floor_z_m > _NO_FLOOR_M else -1e10,
+        workspace=np.array(settings.workspace_box, dtype=np.float64).reshape(2, 3) if settings.workspace_box else infinite,
+        exclusion=exclusion,
+        zone=settings.approach_zone_m,
+        slope=_MARGIN_SLOPE,
+        leaf_mode=GRADED if graded else BINARY,
+    )
+    return Obstacles(robot, shapes, world, hard, thinned, settings, target, counts)

@@ -1,0 +1,103 @@
+"""Which search runs: the default planner, or one of the paper's."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from lime_planner.parameters import Settings
+from lime_planner.pipeline.goals import Goals, sampling_box
+from lime_planner.pipeline.obstacles import Obstacles
+from lime_planner.planning.lime_star import LimeOptions, plan_lime
+from lime_planner.planning.paper import PaperOptions, plan_paper
+from lime_planner.status import Status
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """A path from a search, or why there is none.
+
+    Attributes:
+        path: (M, n) start to goal, or None.
+        status: SUCCEEDED, or NO_PATH, TIMED_OUT, CANCELLED.
+        iterations: configurations sampled; checks: configurations checked, inside edges included.
+        first_path_s: search time until the first path, NaN if unknown.
+    """
+
+    path: Array | None
+    status: Status
+    iterations: int
+    checks: int
+    first_path_s: float = float("nan")
+
+
+def paper_options(settings: Settings) -> PaperOptions:
+    """The paper's planner with the settings' gains."""
+    return PaperOptions.arm(
+        settings.planner,
+        delta=settings.step_rad,
+        c_perm=settings.c_perm,
+        beta=settings.beta,
+        k_att=settings.k_att,
+        k_rep_permeable=settings.k_rep_leaf,
+        k_rep_impermeable=settings.k_rep_stem,
+        d_star=settings.d_star_m,
+        goal_radius=settings.goal_radius_rad,
+        goal_bias=settings.goal_bias,
+    )
+
+
+def search(
+    obstacles: Obstacles,
+    q_start: Array,
+    goals: Goals,
+    settings: Settings,
+    *,
+    seed: int,
+    budget_s: float | None,
+    should_stop: Callable[[], bool],
+) -> Found:
+    """Run the search that the settings name.
+
+    Args:
+        obstacles: with the anchors of start and goals.
+        q_start: (n,).
+        goals: at least one.
+        settings: planner, iterations, gains.
+        seed: of this plan.
+        budget_s: search time [s]; None where the iterations limit it.
+        should_stop: cancels.
+    """
+    lower, upper = sampling_box(obstacles, q_start, goals.configurations)
+    space = obstacles.space(lower, upper)
+    iterations = settings.iterations or None
+    if settings.planner == "lime_star":
+        weight = 0.0 if settings.leaf_policy == "ignored" else settings.weight
+        outcome = plan_lime(
+            space,
+            q_start,
+            goals.configurations,
+            LimeOptions(weight=weight),
+            seed,
+            iterations=iterations,
+            should_stop=should_stop,
+            deadline_s=budget_s,
+        )
+        return Found(outcome.path, outcome.status, outcome.iterations, outcome.states_checked, outcome.first_path_s)
+    paper = plan_paper(
+        space,
+        q_start,
+        goals.configurations,
+        paper_options(settings),
+        seed,
+        iterations=iterations,
+        should_stop=should_stop,
+        deadline_s=budget_s,
+    )
+    checks = int(paper.counters[0] + paper.counters[2])
+    return Found(paper.path, paper.status, paper.final.iterations, checks)
