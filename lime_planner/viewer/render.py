@@ -166,7 +166,10 @@ def compose(plant: list[Layer], solid: list[tuple[Layer, float]], veil: float) -
         nearest = Layer(np.where(nearer[..., None], layer.colour, nearest.colour), np.where(nearer, layer.height_m, nearest.height_m))
     image = np.where(np.isfinite(nearest.height_m)[..., None], nearest.colour, np.float32(1.0))
     # Only where something solid is seen do the layers have to be put in order.
-    rows, columns = np.nonzero(np.any([np.isfinite(layer.height_m) for layer, _ in solid], axis=0))
+    seen = np.zeros(nearest.height_m.shape, dtype=bool)
+    for layer, _ in solid:
+        seen |= np.isfinite(layer.height_m)
+    rows, columns = np.nonzero(seen)
     layers = [(nearest, veil), *solid]
     heights = np.stack([layer.height_m[rows, columns] for layer, _ in layers])
     colours = np.stack([layer.colour[rows, columns] for layer, _ in layers])
