@@ -129,3 +129,21 @@ def test_colcon_script_runs_the_installed_copy(installed: Path, tmp_path: Path) 
     done = subprocess.run(["bash", "-c", command], cwd=tmp_path, capture_output=True, text=True, timeout=120, check=False)
     assert done.returncode == 0, done.stderr
     assert done.stdout.endswith(f"lime-planner {lime_planner.__version__}\n")
+
+
+@pytest.mark.parametrize("name", lime_planner.__all__)
+def test_public_names_load(name: str) -> None:
+    assert getattr(lime_planner, name).__name__ == name
+
+
+def test_importing_the_package_is_light() -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", "import lime_planner, sys; print({'numpy', 'numba'} & set(sys.modules))"],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert done.stdout.strip() == "set()"
+    with pytest.raises(AttributeError, match="no attribute 'nothing'"):
+        _ = lime_planner.nothing
