@@ -19,8 +19,10 @@ from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Path as PathMsg
 from nav_msgs.srv import GetPlan
+from rcl_interfaces.srv import SetParameters
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState, PointCloud2
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
@@ -124,6 +126,7 @@ class Bench:
             for name in ("plan", "preview", "execute", "retreat", "stop")
         }
         self.clients["preview_to"] = self.node.create_client(GetPlan, f"{planner}/preview_to")
+        self._set_parameters = self.node.create_client(SetParameters, f"{planner}/set_parameters")
         self.node.create_timer(1.0 / rate_hz, self._tick)
         self._done = threading.Event()
         self._thread = threading.Thread(target=self._spin, daemon=True)
@@ -204,6 +207,13 @@ class Bench:
             time.sleep(0.001)
         return future.result()
 
+    def set(self, **values: Any) -> list[str]:
+        """Set parameters of the planner; returns the reasons of refusals, empty where accepted."""
+        request = SetParameters.Request(parameters=[Parameter(name, value=value).to_parameter_msg() for name, value in values.items()])
+        assert self._set_parameters.wait_for_service(20.0)
+        response = self.result(self._set_parameters.call_async(request))
+        return [outcome.reason if not outcome.successful else "" for outcome in response.results]
+
     def wait(self, condition: Callable[[], Any], timeout_s: float = 10.0, what: str = "") -> None:
         """Wait until a condition holds."""
         deadline = time.monotonic() + timeout_s
@@ -227,8 +237,8 @@ class Bench:
 
 
 @contextmanager
-def program(arguments: Sequence[str], domain: int, ready: str | None = None, **more: str) -> Iterator[Program]:
-    """Run an executable; it must end with code 0 after SIGINT."""
+def program(arguments: Sequence[str], domain: int, ready: str | None = None, *, defects: int = 0, **more: str) -> Iterator[Program]:
+    """Run an executable; it must end with code 0 after SIGINT, having logged this many defects."""
     running = Program(arguments, domain, **more)
     try:
         if ready is not None:
@@ -237,4 +247,4 @@ def program(arguments: Sequence[str], domain: int, ready: str | None = None, **m
     finally:
         code = running.end()
     assert code == 0, f"ended with {code}:\n{running.output}"
-    assert "Traceback" not in running.output, running.output
+    assert running.output.count("Traceback") == defects, running.output

@@ -17,19 +17,14 @@ from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Path
-from nav_msgs.srv import GetPlan
-from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
-from rclpy.task import Future
 from sensor_msgs.msg import JointState, PointCloud2
 from std_msgs.msg import String
-from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
 from visualization_msgs.msg import MarkerArray
 
 from lime_planner.errors import LimePlannerError
 from lime_planner.ros import qos
-from lime_planner.ros.answers import answer_message, log_line
 from lime_planner.ros.arm_filter import make_arm_filter
 from lime_planner.ros.board import Board
 from lime_planner.ros.convert import to_joint_trajectory, to_path
@@ -42,6 +37,7 @@ from lime_planner.ros.params import NodeParameters
 from lime_planner.ros.requests import Requests, Shown
 from lime_planner.ros.runner import run_node
 from lime_planner.ros.scene_source import SceneSource
+from lime_planner.ros.services import Services
 from lime_planner.ros.status import Phase, health_message
 from lime_planner.ros.stops import make_stop
 from lime_planner.ros.throttle import Throttle
@@ -91,14 +87,14 @@ class PlannerNode(Node):
             settings.plan,
             may_exchange=lambda: not self.execution.active,
             on_loaded=self._on_loaded,
-            report=lambda error, sentence: (self.get_logger().error if error else self.get_logger().info)(sentence),
+            report=self._log,
         )
         self.requests = Requests(
             self.engine, lambda: self.params.snapshot, self.inputs, self.frames, lambda: self.source, self.execution, self.board, self._show
         )
         self.watch = StemWatch(self.execution, make_look(lambda: self.source, lambda: self.engine.loaded), self._warn)
         self._open_inputs(settings.plan.robot)
-        self._open_services()
+        self.services = Services(self, self.worker, self.requests, self.execution, self.board, self._robot, self._log)
         self.create_timer(_WATCH_PERIOD_S, self._safely(self.execution.tick))
         self.create_timer(_OFFERS_PERIOD_S, self._safely(self._check_offers))
         self.create_timer(1.0, self._safely(self._publish_health))
@@ -131,68 +127,6 @@ class PlannerNode(Node):
         if robot == FROM_TOPIC:
             self.create_subscription(String, "robot_description", self._safely(lambda msg: self.engine.offer(msg.data)), qos.LATCHED)
 
-    def _open_services(self) -> None:
-        group = ReentrantCallbackGroup()  # an unanswered request must not hold back the next one
-        options = {"qos_profile": qos.SERVICE, "callback_group": group}
-        for name in ("plan", "preview", "execute", "retreat"):
-            self.create_service(Trigger, f"~/{name}", partial(self._serve_trigger, name, getattr(self.requests, name)), **options)
-        self.create_service(GetPlan, "~/preview_to", self._serve_preview_to, **options)
-        self.create_service(Trigger, "~/stop", self._serve_stop, **options)
-
-    async def _serve_trigger(self, kind: str, job: Callable[[Ticket], Answer], _request: Any, response: Any) -> Any:
-        ticket, answer = await self._request(kind, job)
-        response.success = bool(answer.status is Status.SUCCEEDED)
-        response.message = answer_message(ticket, answer)
-        return response
-
-    async def _serve_preview_to(self, request: Any, response: Any) -> Any:
-        _, answer = await self._request("preview_to", lambda ticket: self.requests.preview_to(ticket, request.goal))
-        poses = answer.payload if answer.status is Status.SUCCEEDED else []
-        robot = self._robot()
-        response.plan = to_path(poses, robot.planning_frame if robot is not None else "", self._now())
-        return response
-
-    def _serve_stop(self, _request: Any, response: Any) -> Any:
-        try:
-            moving = self.execution.stop(Status.CANCELLED, "stopped by ~/stop") or self.execution.hold_foreign_motion(self.params.snapshot)
-            cancelled = self.worker.cancel("stopped by ~/stop")
-            # A request that committed while we looked has sent its motion by now, or does so at once; it is stopped too.
-            moving = self.execution.stop(Status.CANCELLED, "stopped by ~/stop") or moving
-            motion = "the motion is being stopped" if moving else "no motion was running"
-            response.success, response.message = True, Status.SUCCEEDED.message(f"{motion}; {cancelled} request(s) cancelled")
-            self.get_logger().info(f"stop: {response.message}")
-        except Exception as error:
-            self.get_logger().error(traceback.format_exc())
-            response.success, response.message = False, Status.INTERNAL_ERROR.message(f"{type(error).__name__}: {error}")
-        return response
-
-    async def _request(self, kind: str, job: Callable[[Ticket], Answer]) -> tuple[Ticket, Answer]:
-        future = Future()
-
-        def on_answer(ticket: Ticket, answer: Answer) -> None:
-            self._finish(ticket, answer)
-            future.set_result((ticket, answer))
-            executor = self.executor
-            if executor is not None:
-                executor.wake()
-
-        self.worker.submit(kind, job, on_answer)
-        result: tuple[Ticket, Answer] = await future
-        return result
-
-    def _finish(self, ticket: Ticket, answer: Answer) -> None:
-        """Put a request's end into status and log; from whichever thread answers."""
-        try:
-            motion = self.execution.motion
-            own = motion is not None and motion.plan_id == ticket.plan_id
-            self.board.show(ticket.plan_id, Phase.EXECUTING if own else Phase.DONE, answer.status, answer_message(ticket, answer))
-            if motion is not None and not own:
-                self.board.show(motion.plan_id, Phase.EXECUTING)
-            log = self.get_logger().error if answer.status is Status.INTERNAL_ERROR else self.get_logger().info
-            log(log_line(ticket, answer))
-        except Exception:  # the answer itself must get through
-            self.get_logger().error(traceback.format_exc())
-
     def _on_end(self, ended: Ended) -> None:
         motion = ended.motion
         message = ended.status.message(ended.sentence)
@@ -205,7 +139,7 @@ class PlannerNode(Node):
                 ticket.context["replans_left"] = motion.replans_left - 1
                 return self.requests.plan(ticket)
 
-            self.worker.submit("replan", replan, self._finish)
+            self.worker.submit("replan", replan, self.services.finish)
 
     def _on_loaded(self, loaded: Loaded) -> None:
         robot = loaded.robot
@@ -265,6 +199,12 @@ class PlannerNode(Node):
 
     def _ros_now_s(self) -> float:
         return float(self.get_clock().now().nanoseconds) * 1e-9
+
+    def _log(self, error: bool, sentence: str) -> None:
+        if error:  # two calls: rclpy holds one place in the source to one severity
+            self.get_logger().error(sentence)
+        else:
+            self.get_logger().info(sentence)
 
     def _safely(self, callback: Callable[..., Any]) -> Callable[..., None]:
         """Wrap a callback: a defect in one message's handling is logged, and the node goes on serving."""

@@ -146,6 +146,8 @@ class Requests:
 
     def _begin(self, ticket: Ticket) -> Snapshot:
         self.board.show(ticket.plan_id, Phase.PLANNING, kind=ticket.kind)
+        if ticket.kind != "execute":
+            self.previewed = None  # what ~/execute sends is what was asked for last, or nothing
         return self.snapshot()
 
     def _ready(self, ticket: Ticket, snapshot: Snapshot) -> Any:
