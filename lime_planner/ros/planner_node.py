@@ -94,7 +94,7 @@ class PlannerNode(Node):
         )
         self.watch = StemWatch(self.execution, make_look(lambda: self.source, lambda: self.engine.loaded), self._warn)
         self._open_inputs(settings.plan.robot)
-        self.services = Services(self, self.worker, self.requests, self.execution, self.board, self._robot, self._log)
+        self.desk = Services(self, self.worker, self.requests, self.execution, self.board, self._robot, self._log)
         self.create_timer(_WATCH_PERIOD_S, self._safely(self.execution.tick))
         self.create_timer(_OFFERS_PERIOD_S, self._safely(self._check_offers))
         self.create_timer(1.0, self._safely(self._publish_health))
@@ -139,7 +139,7 @@ class PlannerNode(Node):
                 ticket.context["replans_left"] = motion.replans_left - 1
                 return self.requests.plan(ticket)
 
-            self.worker.submit("replan", replan, self.services.finish)
+            self.worker.submit("replan", replan, self.desk.finish)
 
     def _on_loaded(self, loaded: Loaded) -> None:
         robot = loaded.robot
