@@ -10,6 +10,7 @@ import pytest
 from lime_planner.errors import RobotError
 from lime_planner.robot.builtin import BUILTIN_ARMS, TOOL_RPY
 from lime_planner.robot.model import Robot, home, load_robot, robot_from_urdf
+from lime_planner.robot.pairs import touches_itself
 from lime_planner.robot.tree import DEFAULT_ACCELERATION
 
 BOX = '<collision><geometry><box size="0.1 0.1 0.1"/></geometry></collision>'
@@ -202,13 +203,51 @@ MESH = '<collision><geometry><mesh filename="{}"/></geometry></collision>'
         (urdf().replace('lower="-1" upper="2"', 'lower="2" upper="-1"'), {}, "lower must be less"),
         (urdf().replace("end_effector", "thing"), {}, "Set tool_frame to one of left, right, thing"),
         (urdf(joint="").replace('<mimic joint="f"', '<mimic joint="a"'), {}, "g mimics the arm joint a"),
-        (urdf(link="").replace(BOX, ""), {}, "no collision geometry|has collision geometry"),
+        (urdf(link="").replace(BOX, ""), {}, "has collision geometry"),
+        (urdf(axis="0 0 0"), {}, "joint b has an axis of length 0"),
+        (urdf(axis="nan 0 1"), {}, "joint b has the xyz 'nan 0 1' in its axis"),
+        (urdf().replace('xyz="0 0 0.3"', 'xyz="0 0"', 1), {}, "joint a has the xyz '0 0' in its origin, .*3 finite numbers"),
+        (urdf().replace('type="revolute"', 'type="spherical"'), {}, "joint b is of type 'spherical'"),
+        (urdf(joint="").replace('<limit lower="-1" upper="2" effort="1" velocity="0.7"/>', ""), {}, "joint b is revolute and needs limits"),
+        (
+            urdf(link='<collision><geometry><cylinder radius="0" length="1"/></geometry></collision>'),
+            {},
+            "cylinder whose radius is not positive",
+        ),
+        (urdf(link="<collision/>"), {}, "link lower has the collision shape nothing"),
+        (urdf(rest='<joint name="z" type="fixed"><parent link="hand"/><child link="base"/></joint>'), {}, "one root link; it has 0$"),
+        (
+            urdf(rest='<link name="q"/><joint name="z" type="fixed"><parent link="q"/><child link="q"/></joint>'),
+            {},
+            "q is its own ancestor",
+        ),
+        (urdf().replace('<mimic joint="f"', '<mimic joint="g"'), {}, "g mimics 'g'"),
     ],
-    ids=range(26),
+    ids=range(36),
 )
 def test_refused_with_a_sentence(text: str, arguments: dict[str, object], sentence: str) -> None:
     with pytest.raises(RobotError, match=sentence):
         robot_from_urdf(text, **arguments)  # type: ignore[arg-type]
+
+
+def test_a_broken_mesh_is_named(tmp_path: Path) -> None:
+    (tmp_path / "junk.stl").write_bytes(b"junk" * 100)
+    (tmp_path / "nan.obj").write_text("v nan 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    for name, sentence in (("junk.stl", "Could not load resource .*junk.stl"), ("nan.obj", "link lower has no triangles, no extent")):
+        with pytest.raises(RobotError, match=sentence) as caught:
+            robot_from_urdf(urdf(link=MESH.format(name)), base_dir=tmp_path)
+        assert "\n" not in str(caught.value)
+
+
+def test_home_of_another_arm_is_free_of_self_collision() -> None:
+    # In the middle of the second joint's limits the hand is inside the base.
+    folding = urdf().replace('lower="-1" upper="2"', 'lower="1.28" upper="5"').replace('xyz="0 0 0.3"', 'xyz="0.02 0 0.3"')
+    robot = robot_from_urdf(folding)
+    assert touches_itself(robot.chain, robot.links, robot.collision_pairs, np.array([0.0, 3.14]))
+    q = home(robot)
+    assert robot.within_limits(q)
+    assert not touches_itself(robot.chain, robot.links, robot.collision_pairs, q)
+    np.testing.assert_array_equal(q, home(robot_from_urdf(folding)))
 
 
 def test_unknown_robots(tmp_path: Path) -> None:

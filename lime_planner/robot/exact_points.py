@@ -54,8 +54,8 @@ def grids_of(robot: Robot, padding_m: float) -> LinkGrids:
 
 
 def winds_round(link: LinkMesh, point: Array) -> bool:
-    """Tell whether a link's mesh encloses a point (3,) in the joint's frame, by its winding number."""
-    return bool(winding_number(link.vertices, link.triangles, point[0], point[1], point[2]) > 0.5)
+    """Tell whether a link's mesh, be it inside out, encloses a point (3,) in the joint's frame, by its winding number."""
+    return bool(abs(winding_number(link.vertices, link.triangles, point[0], point[1], point[2])) > 0.5)
 
 
 class PointTest:

@@ -69,8 +69,8 @@ def triangulate(shape: Any, name: str) -> tuple[Array, npt.NDArray[np.int32]]:
         vertices = np.array(shape.vertices(), dtype=np.float64).reshape(-1, 3)
         corners = [shape.tri_indices(i) for i in range(shape.num_tris)]
         triangles = np.array([(t[0], t[1], t[2]) for t in corners], dtype=np.int64).reshape(-1, 3)
-        if len(triangles) == 0 or not np.isfinite(vertices).all():
-            raise RobotError(f"the collision mesh of link {name} has no triangles or a vertex that is not finite")
+        if len(triangles) == 0 or not np.isfinite(vertices).all() or not np.ptp(vertices, axis=0).any():
+            raise RobotError(f"the collision mesh of link {name} has no triangles, no extent, or a vertex that is not finite")
         mesh = trimesh.Trimesh(vertices, triangles, process=False)
         mesh.merge_vertices()
     elif isinstance(shape, coal.Box):

@@ -17,7 +17,7 @@ from lime_planner.errors import RobotError
 from lime_planner.robot.builtin import BUILTIN_ARMS, TOOL_RPY, read_builtin, share_directories
 from lime_planner.robot.kinematics import Chain, forward_kinematics, tool_pose
 from lime_planner.robot.meshes import LinkMesh
-from lime_planner.robot.pairs import find_collision_pairs
+from lime_planner.robot.pairs import find_collision_pairs, touches_itself
 from lime_planner.robot.tree import read_tree
 from lime_planner.robot.urdf import parse_urdf, resolve_meshes, set_joint_rpy
 
@@ -202,15 +202,24 @@ def robot_from_urdf(
 
 
 def home(robot: Robot) -> Array:
-    """Return a ready configuration, (n,) [rad]: the driver's home of a built-in arm, else the middle of the limits (0 if continuous).
+    """Return a ready configuration within the limits and free of self-collision, (n,) [rad].
 
-    Only the built-in arms' is known to be free of self-collision.
+    A built-in arm's is documented with it. Any other arm's is the middle of its limits (0 for continuous joints), or where the arm
+    touches itself there, the first of a fixed sequence of random configurations where it does not.
+
+    Raises:
+        RobotError: none of 1000 configurations is free of self-collision.
     """
     arm = BUILTIN_ARMS.get(robot.name)
     if arm is not None and robot.joint_names == arm.joint_names:
         return np.array(arm.home)
-    limits = np.where(robot.continuous, 0.0, [robot.lower, robot.upper])
-    return np.asarray(limits.mean(axis=0))
+    low, high = np.where(robot.continuous, -np.pi, robot.lower), np.where(robot.continuous, np.pi, robot.upper)
+    rng, q = np.random.default_rng(0), 0.5 * (low + high)
+    for _ in range(1000):
+        if not touches_itself(robot.chain, robot.links, robot.collision_pairs, q):
+            return q
+        q = rng.uniform(low, high)
+    raise RobotError(f"{robot.name} touches itself in every one of 1000 configurations; is its collision geometry right?")
 
 
 def _reach(chain: Chain, links: Sequence[LinkMesh]) -> float:

@@ -57,3 +57,13 @@ def find_collision_pairs(
         if not undecided:
             break
     return tuple(pair for k, pair in enumerate(pairs) if k not in set(undecided))
+
+
+def touches_itself(chain: Chain, links: Sequence[LinkMesh], pairs: Sequence[tuple[int, int]], q: Array) -> bool:
+    """Tell whether any of `pairs` is in contact at configuration q (n,) [rad], by the exact meshes."""
+    import fcl
+
+    poses = np.empty((len(q) + 1, 3, 4))
+    forward_kinematics(chain, q, poses)
+    objects = [fcl.CollisionObject(bvh_of(k), fcl.Transform(poses[k.joint, :, :3], poses[k.joint, :, 3])) for k in links]
+    return any(fcl.collide(objects[i], objects[j], fcl.CollisionRequest(), fcl.CollisionResult()) > 0 for i, j in pairs)

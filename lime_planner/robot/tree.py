@@ -109,7 +109,9 @@ def read_tree(
         model = pin.buildModelFromXML(text)
         geometry = pin.buildGeomFromUrdfString(model, text, pin.GeometryType.COLLISION)
     except (ValueError, RuntimeError) as error:
-        raise RobotError(f"the robot description cannot be used: {error}") from error
+        # Pinocchio's messages about meshes begin with places in its own source.
+        reason = " ".join(str(error).rpartition("message:")[2].split())
+        raise RobotError(f"the robot description cannot be used: {reason}") from error
     reference = _locked_configuration(joints, model, names, locked)
     others = [j for j in range(1, model.njoints) if model.names[j] not in names]
     model, geometries = pin.buildReducedModel(model, [geometry], others, reference)
@@ -250,10 +252,7 @@ def _read_limits(joints: _Joints, names: Sequence[str]) -> tuple[Array, Array, n
         limit = joints.by_name[name].find("limit")
         continuous[i] = joints.by_name[name].get("type") == "continuous"
         given = dict(limit.attrib) if limit is not None else {}
-        try:
-            values = {key: float(given[key]) for key in ("lower", "upper", "velocity", "acceleration") if key in given}
-        except ValueError as error:
-            raise RobotError(f"joint {name} has a limit that is not a number: {error}") from error
+        values = {key: float(given[key]) for key in ("lower", "upper", "velocity", "acceleration") if key in given}
         if not continuous[i]:
             lower[i], upper[i] = values.get("lower", 0.0), values.get("upper", 0.0)
             if not lower[i] < upper[i]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import xml.etree.ElementTree as ET
 from collections.abc import Iterable
 from pathlib import Path
@@ -9,7 +10,8 @@ from urllib.parse import unquote, urlparse
 
 from lime_planner.errors import RobotError
 
-_SHAPES = ("mesh", "box", "cylinder", "sphere")
+_SHAPES: dict[str, dict[str, int]] = {"mesh": {}, "box": {"size": 3}, "cylinder": {"radius": 1, "length": 1}, "sphere": {"radius": 1}}
+_JOINTS = ("fixed", "revolute", "continuous", "prismatic", "floating", "planar")
 
 
 def parse_urdf(text: str) -> ET.Element:
@@ -33,27 +35,86 @@ def parse_urdf(text: str) -> ET.Element:
     _names(root, "joint")
     if not links:
         raise RobotError("the robot description has no link")
-    children: set[str] = set()
     for joint in root.findall("joint"):
+        _check_joint(joint)
+    _check_tree(root, links)
+    for link_element in root.findall("link"):
+        for collision in link_element.findall("collision"):
+            _check_collision(link_element.get("name", ""), collision)
+    return root
+
+
+def _check_tree(root: ET.Element, links: set[str]) -> None:
+    parents: dict[str, str] = {}
+    for joint in root.findall("joint"):
+        ends = []
         for end in ("parent", "child"):
             element = joint.find(end)
             link = "" if element is None else element.get("link", "")
             if link not in links:
                 raise RobotError(f"joint {joint.get('name')} has the {end} link {link!r}, which is not declared")
-            if end == "child":
-                if link in children:
-                    raise RobotError(f"link {link} is the child of two joints; a URDF must be a tree")
-                children.add(link)
-    roots = sorted(links - children)
+            ends.append(link)
+        if ends[1] in parents:
+            raise RobotError(f"link {ends[1]} is the child of two joints; a URDF must be a tree")
+        parents[ends[1]] = ends[0]
+    roots = sorted(links - set(parents))
     if len(roots) != 1:
-        raise RobotError(f"the robot description must have one root link; it has {len(roots)}: {', '.join(roots)}")
-    for link_element in root.findall("link"):
-        for geometry in link_element.findall("collision/geometry"):
-            kinds = [child.tag for child in geometry]
-            if len(kinds) != 1 or kinds[0] not in _SHAPES:
-                found = " and ".join(kinds) or "nothing"
-                raise RobotError(f"link {link_element.get('name')} has the collision shape {found}; it must be one of {', '.join(_SHAPES)}")
-    return root
+        raise RobotError(f"the robot description must have one root link; it has {len(roots)}{': ' * bool(roots)}{', '.join(roots)}")
+    for link in sorted(links):
+        above, steps = link, 0
+        while above in parents and steps <= len(links):
+            above, steps = parents[above], steps + 1
+        if above != roots[0]:
+            raise RobotError(f"link {link} is its own ancestor; a URDF must be a tree")
+
+
+def _check_joint(joint: ET.Element) -> None:
+    name, kind = f"joint {joint.get('name')}", joint.get("type", "")
+    if kind not in _JOINTS:
+        raise RobotError(f"{name} is of type {kind!r}; it must be one of {', '.join(_JOINTS)}")
+    _check_origin(name, joint)
+    axis = joint.find("axis")
+    if axis is not None and kind in ("revolute", "continuous", "prismatic") and not any(_numbers(name, axis, "xyz", 3)):
+        raise RobotError(f"{name} has an axis of length 0")
+    limit = joint.find("limit")
+    if kind in ("revolute", "prismatic") and limit is None:
+        raise RobotError(f"{name} is {kind} and needs limits")
+    if limit is not None:
+        for key in ("lower", "upper", "velocity", "effort", "acceleration"):
+            if key in limit.attrib:
+                _numbers(name, limit, key, 1)
+
+
+def _check_collision(link: str, collision: ET.Element) -> None:
+    name = f"link {link}"
+    _check_origin(name, collision)
+    kinds = [child.tag for geometry in collision.findall("geometry") for child in geometry]
+    if len(kinds) != 1 or kinds[0] not in _SHAPES:
+        raise RobotError(f"{name} has the collision shape {' and '.join(kinds) or 'nothing'}; it must be one of {', '.join(_SHAPES)}")
+    shape = collision.find(f"geometry/{kinds[0]}")
+    for key, count in _SHAPES[kinds[0]].items():
+        if shape is None or min(_numbers(name, shape, key, count)) <= 0.0:
+            raise RobotError(f"{name} has a {kinds[0]} whose {key} is not positive")
+    if shape is not None and "scale" in shape.attrib and not all(_numbers(name, shape, "scale", 3)):
+        raise RobotError(f"{name} has a mesh of scale 0")
+
+
+def _check_origin(name: str, element: ET.Element) -> None:
+    origin = element.find("origin")
+    for key in ("xyz", "rpy"):
+        if origin is not None and key in origin.attrib:
+            _numbers(name, origin, key, 3)
+
+
+def _numbers(name: str, element: ET.Element, key: str, count: int) -> list[float]:
+    text = element.get(key, "")
+    try:
+        values = [float(word) for word in text.split()]
+    except ValueError:
+        values = []
+    if len(values) != count or not all(map(math.isfinite, values)):
+        raise RobotError(f"{name} has the {key} {text!r} in its {element.tag}, which should be {count} finite number{'s' * (count > 1)}")
+    return values
 
 
 def _names(root: ET.Element, tag: str) -> set[str]:
