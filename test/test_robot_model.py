@@ -143,6 +143,17 @@ def test_locked_joints_and_a_subset() -> None:
     assert {link.name: link.joint for link in one.links} == {"base": 0, "upper": 0, "lower": 1, "left": 1, "right": 1}
 
 
+def test_fingers_that_turn_are_no_arm_joints() -> None:
+    turning = urdf().replace('type="prismatic"', 'type="revolute"')
+    robot = robot_from_urdf(turning)
+    assert (robot.tool_frame, robot.joint_names) == ("end_effector", ("a", "b"))
+    nameless = turning.replace("end_effector", "thing").replace('<mimic joint="f" multiplier="-2" offset="0.01"/>', "")
+    with pytest.raises(RobotError, match=r"Set tool_frame to one of left, right$"):
+        robot_from_urdf(nameless)
+    assert robot_from_urdf(nameless, tool_frame="left").joint_names == ("a", "b", "f")
+    assert robot_from_urdf(nameless, tool_frame="thing").joint_names == ("a", "b")
+
+
 def test_planning_frame_that_is_not_the_root() -> None:
     rest = '<link name="world"/><joint name="w" type="fixed"><parent link="world"/><child link="base"/>'
     rest += '<origin xyz="1 2 3" rpy="0 0 1.5"/></joint>'
@@ -169,6 +180,7 @@ def test_a_urdf_file_with_a_relative_mesh(tmp_path: Path) -> None:
     (tmp_path / "arm.urdf").write_text(urdf(link=mesh))
     lower = next(link for link in load_robot(str(tmp_path / "arm.urdf")).links if link.name == "lower")
     assert sorted(np.ptp(lower.vertices, axis=0).round(6)) == [0.2, 0.2, 0.3]
+    assert len(lower.vertices) == 8  # corners that an STL file repeats are merged
     assert np.linalg.norm(lower.vertices.mean(axis=0)) == pytest.approx(1.0, abs=1e-6)
 
 

@@ -63,7 +63,6 @@ def triangulate(shape: Any, name: str) -> tuple[Array, npt.NDArray[np.int32]]:
         RobotError: a shape of another kind, or a mesh without triangles.
     """
     import coal
-    import trimesh
 
     if isinstance(shape, coal.BVHModelBase):
         vertices = np.array(shape.vertices(), dtype=np.float64).reshape(-1, 3)
@@ -71,9 +70,13 @@ def triangulate(shape: Any, name: str) -> tuple[Array, npt.NDArray[np.int32]]:
         triangles = np.array([(t[0], t[1], t[2]) for t in corners], dtype=np.int64).reshape(-1, 3)
         if len(triangles) == 0 or not np.isfinite(vertices).all() or not np.ptp(vertices, axis=0).any():
             raise RobotError(f"the collision mesh of link {name} has no triangles, no extent, or a vertex that is not finite")
-        mesh = trimesh.Trimesh(vertices, triangles, process=False)
-        mesh.merge_vertices()
-    elif isinstance(shape, coal.Box):
+        if len(vertices) >= 3 * len(triangles):  # an STL file repeats the corners in every triangle
+            vertices, place = np.unique(vertices, axis=0, return_inverse=True)
+            triangles = place.reshape(-1)[triangles]
+        return vertices, triangles.astype(np.int32)
+    import trimesh
+
+    if isinstance(shape, coal.Box):
         mesh = trimesh.creation.box(extents=2.0 * np.asarray(shape.halfSide))
     elif isinstance(shape, coal.Cylinder):
         radius = shape.radius / np.cos(np.pi / _SEGMENTS)

@@ -21,6 +21,7 @@ DEFAULT_ACCELERATION = 1.0
 #: Where the URDF gives no velocity limit [rad/s].
 DEFAULT_VELOCITY = 0.5
 
+_TOOL_NAMES = ("end_effector", "tool0", "tool_frame", "tcp")
 _MOVING = ("revolute", "continuous", "prismatic", "floating", "planar")
 
 
@@ -147,18 +148,17 @@ def _check_names(joints: _Joints, wanted: Sequence[str]) -> None:
 
 
 def _default_tool(joints: _Joints, joint_names: Sequence[str] | None) -> str:
-    """Return the deepest link with the most moving joints above it (beyond the last named joint, if named)."""
-    candidates = joints.links
-    if joint_names:
-        last = joint_names[-1]
-        candidates = [link for link in candidates if last in joints.movers_to(link)]
-    ends = [link for link in candidates if all(joints.parent(j) != link for j in joints.by_name.values())]
-    ends = ends or candidates
+    """Return the one link named like a tool frame, else the one at the end of the most turning joints.
+
+    Beyond the last of `joint_names`, if given. A name counts for more than depth, for fingers turn, too.
+    """
+    candidates = [link for link in joints.links if (joint_names[-1] in joints.movers_to(link) if joint_names else joints.movers_to(link))]
+    named = [link for link in candidates if link.endswith(_TOOL_NAMES)]
+    parents = {joints.parent(joint) for joint in joints.by_name.values()}
+    ends = [link for link in candidates if link not in parents]
     most = max((len(joints.movers_to(link)) for link in ends), default=0)
-    best = [link for link in ends if len(joints.movers_to(link)) == most]
-    named = [link for link in best if link.endswith(("end_effector", "tool0", "tool_frame", "tcp"))]
-    choice = named if len(named) == 1 else best
-    if most == 0 or len(choice) != 1:
+    choice = named if len(named) == 1 else [link for link in ends if len(joints.movers_to(link)) == most]
+    if len(choice) != 1:
         raise RobotError(f"which link is the tool frame? Set tool_frame to one of {', '.join(choice or joints.links)}")
     return choice[0]
 
