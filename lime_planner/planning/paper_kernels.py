@@ -132,12 +132,24 @@ def find_neighbours(space: Any, rules: Any, tree: Any, q_new: Any, near: int) ->
 def best_parent(space: Any, rules: Any, tree: Any, q_new: Any, count: int) -> tuple[int, float]:
     """Return the neighbour with the cheapest way to q_new and that edge's cost (line 10); -1 where every edge is blocked."""
     best, best_edge, best_cost = -1, np.inf, np.inf
-    for k in range(count):
-        j = tree.found[k]
-        if tree.cost[j] + tree.found_distance[k] >= best_cost:
-            continue  # the distance bounds every edge from below
-        bound = best_cost - tree.cost[j]
-        cost = edge_cost(space, rules, tree.rows[j], q_new, tree.found_distance[k], tree.intensity[j], bound)
+    edges_cost_time = rules.integral or rules.certify
+    for first in range(count):
+        if edges_cost_time:  # then the most promising first: the distance bounds every edge from below, and few need a look
+            promising, lowest = first, np.inf
+            for k in range(first, count):
+                lower = tree.cost[tree.found[k]] + tree.found_distance[k]
+                if lower < lowest:
+                    promising, lowest = k, lower
+            if lowest >= best_cost:
+                break
+            tree.found[first], tree.found[promising] = tree.found[promising], tree.found[first]
+            length = tree.found_distance[promising]
+            tree.found_distance[promising] = tree.found_distance[first]
+            tree.found_distance[first] = length
+        j, length = tree.found[first], tree.found_distance[first]
+        if tree.cost[j] + length >= best_cost:
+            continue
+        cost = edge_cost(space, rules, tree.rows[j], q_new, length, tree.intensity[j], best_cost - tree.cost[j])
         if tree.cost[j] + cost < best_cost:
             best, best_edge, best_cost = j, cost, tree.cost[j] + cost
     return best, best_edge
