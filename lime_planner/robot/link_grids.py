@@ -6,6 +6,7 @@ enclosed voxel for a hit: the mesh is only a surface, and what lies deep inside 
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -44,7 +45,7 @@ class LinkGrids(NamedTuple):
 
 
 def build_grids(links: Sequence[LinkMesh], padding_m: float) -> LinkGrids:
-    """Make the grids of all links, or read them from the package's cache (2 s the first time).
+    """Make the grids of all links, or read them from the package's cache (a few seconds the first time).
 
     Args:
         links: the links' meshes.
@@ -73,8 +74,9 @@ def _cached_values(link: LinkMesh, origin: Array, size: npt.NDArray[np.int64]) -
         pass
     values = _distance_values(link, origin, size)
     temporary = path.with_name(f"{path.stem}.{np.random.default_rng().integers(1 << 60):x}.tmp.npy")
-    np.save(temporary, values)
-    temporary.replace(path)
+    with contextlib.suppress(OSError):  # a full disk: do without
+        np.save(temporary, values)
+        temporary.replace(path)
     return values
 
 
