@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator
 from dataclasses import fields
 
 import pytest
 import rclpy
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from std_msgs.msg import String
 
 from lime_planner.errors import ParameterError
 from lime_planner.parameters import NODE_PARAMETERS, PARAMETERS
@@ -119,20 +122,49 @@ LATCHED, VOLATILE = DurabilityPolicy.TRANSIENT_LOCAL, DurabilityPolicy.VOLATILE
 
 
 @pytest.mark.parametrize(
-    ("offers", "wanted"),
+    ("offers", "further"),
     [
-        ([], (RELIABLE, VOLATILE)),
-        ([(RELIABLE, VOLATILE)], (RELIABLE, VOLATILE)),
-        ([(RELIABLE, LATCHED)], (RELIABLE, LATCHED)),
-        ([(EFFORT, VOLATILE)], (EFFORT, VOLATILE)),
-        ([(RELIABLE, VOLATILE), (EFFORT, VOLATILE)], (EFFORT, VOLATILE)),
-        ([(RELIABLE, VOLATILE), (RELIABLE, LATCHED)], (RELIABLE, VOLATILE)),
-        ([(EFFORT, LATCHED)], (EFFORT, VOLATILE)),
+        ([], []),
+        ([(RELIABLE, VOLATILE)], []),
+        ([(RELIABLE, LATCHED)], [(RELIABLE, LATCHED)]),
+        ([(EFFORT, VOLATILE)], [(EFFORT, VOLATILE)]),
+        ([(EFFORT, LATCHED)], [(EFFORT, VOLATILE)]),
+        ([(RELIABLE, VOLATILE), (EFFORT, VOLATILE)], [(EFFORT, VOLATILE)]),
+        ([(RELIABLE, VOLATILE), (RELIABLE, LATCHED)], [(RELIABLE, LATCHED)]),
+        ([(RELIABLE, LATCHED), (EFFORT, VOLATILE)], [(RELIABLE, LATCHED), (EFFORT, VOLATILE)]),
     ],
 )
-def test_subscriptions_follow_the_offers(offers: list, wanted: tuple) -> None:
-    profile = qos.matching_profile(qos.NEWEST, [offer(*each) for each in offers])
-    assert (profile.reliability, profile.durability, profile.depth) == (*wanted, 1)
+def test_subscriptions_follow_the_offers(offers: list, further: list) -> None:
+    profiles = qos.needed_profiles(qos.NEWEST, [offer(*each) for each in offers])
+    assert [(profile.reliability, profile.durability) for profile in profiles] == [(RELIABLE, VOLATILE), *further]
+    assert {profile.depth for profile in profiles} == {1}
+
+
+def test_every_publisher_is_heard_once(context: rclpy.Context) -> None:
+    heard: list[str] = []
+    node, executor = Node("listener", context=context), SingleThreadedExecutor(context=context)
+    executor.add_node(node)
+    cameras = [
+        node.create_publisher(String, "cloud", offer(*each)) for each in ((RELIABLE, LATCHED), (RELIABLE, VOLATILE), (EFFORT, VOLATILE))
+    ]
+
+    def spin(duration_s: float) -> None:
+        deadline = time.monotonic() + duration_s
+        while time.monotonic() < deadline:
+            executor.spin_once(0.02)
+
+    cameras[0].publish(String(data="before"))
+    subscription = qos.AdaptiveSubscription(node, String, "cloud", offer(RELIABLE, VOLATILE), lambda msg: heard.append(msg.data))
+    deadline = time.monotonic() + 5.0
+    while "before" not in heard and time.monotonic() < deadline:
+        subscription.check()
+        spin(0.2)
+    for name, camera in zip(("latched", "reliable", "effort"), cameras, strict=True):
+        camera.publish(String(data=name))
+        spin(0.2)
+    assert sorted(heard) == ["before", "effort", "latched", "reliable"]
+    executor.shutdown()
+    node.destroy_node()
 
 
 def test_a_motion_command_is_never_latched() -> None:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from rclpy.event_handler import SubscriptionEventCallbacks
@@ -28,25 +29,30 @@ STATUS = _profile(10, ReliabilityPolicy.RELIABLE, DurabilityPolicy.TRANSIENT_LOC
 SERVICE = _profile(1000, ReliabilityPolicy.RELIABLE, DurabilityPolicy.VOLATILE)
 
 
-def matching_profile(base: QoSProfile, offers: Sequence[QoSProfile]) -> QoSProfile:
-    """Return `base`, weakened or latched to suit what publishers offer.
+def needed_profiles(base: QoSProfile, offers: Sequence[QoSProfile]) -> list[QoSProfile]:
+    """Return the profiles under which one must subscribe to hear every publisher as well as it offers.
 
-    Best effort where any publisher offers only that (a reliable subscription would hear nothing from it); transient local where
-    every publisher offers it (a volatile subscription would miss what was published before).
+    `base` always. Best effort too where a publisher offers only that (a reliable subscription hears nothing from it); transient
+    local too where a publisher latches (a volatile subscription misses what was published before).
+
+    Args:
+        base: reliable and volatile.
+        offers: the publishers' profiles.
     """
-    if not offers:
-        return base
-    best_effort = any(offer.reliability == ReliabilityPolicy.BEST_EFFORT for offer in offers)
-    latched = all(offer.durability == DurabilityPolicy.TRANSIENT_LOCAL for offer in offers) and not best_effort
-    return _profile(
-        base.depth,
-        ReliabilityPolicy.BEST_EFFORT if best_effort else base.reliability,
-        DurabilityPolicy.TRANSIENT_LOCAL if latched else base.durability,
-    )
+    needed = [base]
+    reliable = [offer for offer in offers if offer.reliability != ReliabilityPolicy.BEST_EFFORT]
+    if any(offer.durability == DurabilityPolicy.TRANSIENT_LOCAL for offer in reliable):
+        needed.append(_profile(base.depth, base.reliability, DurabilityPolicy.TRANSIENT_LOCAL))
+    if len(reliable) < len(offers):
+        needed.append(_profile(base.depth, ReliabilityPolicy.BEST_EFFORT, DurabilityPolicy.VOLATILE))
+    return needed
 
 
 class AdaptiveSubscription:
-    """A subscription that subscribes again when the publishers' offer asks for it."""
+    """A subscription that follows what the publishers offer, by subscribing again under further profiles.
+
+    A message that arrives under two of them is passed on once.
+    """
 
     def __init__(self, node: Node, message_type: Any, topic: str, base: QoSProfile, callback: Callable[[Any], None]) -> None:
         """Subscribe with `base`.
@@ -55,7 +61,7 @@ class AdaptiveSubscription:
             node: the node, whose executor calls `check` and `callback` in one thread.
             message_type: the message class.
             topic: relative name, remapped as usual.
-            base: the wish, kept where the publishers allow it.
+            base: reliable and volatile, kept in any case.
             callback: what to call with each message.
         """
         self._node = node
@@ -63,35 +69,36 @@ class AdaptiveSubscription:
         self._topic = topic
         self._base = base
         self._callback = callback
-        self._profile = base
-        self._due = False
-        self._subscription = self._subscribe()
-
-    @property
-    def reliability(self) -> str:
-        """`reliable` or `best_effort`, as subscribed now."""
-        return str(self._profile.reliability.name).lower()
-
-    @property
-    def publishers(self) -> int:
-        """Number of matching publishers in the graph."""
-        return int(self._node.count_publishers(self._subscription.topic_name))
+        self._seen: deque[int] = deque(maxlen=16)
+        self._subscriptions = {_key(base): self._subscribe(base)}
 
     def check(self) -> None:
-        """Compare with the publishers' offers; to be called now and then (an event only says that something changed)."""
-        offers = [info.qos_profile for info in self._node.get_publishers_info_by_topic(self._subscription.topic_name)]
-        wanted = matching_profile(self._base, offers)
-        if (wanted.reliability, wanted.durability) == (self._profile.reliability, self._profile.durability):
+        """Compare with the publishers' offers; to be called now and then (an event would only say that something changed)."""
+        name = self._subscriptions[_key(self._base)].topic_name
+        offers = [info.qos_profile for info in self._node.get_publishers_info_by_topic(name)]
+        if not offers:
             return
-        self._node.get_logger().info(
-            f"{self._subscription.topic_name}: subscribing again as {wanted.reliability.name.lower()}, "
-            f"{wanted.durability.name.lower()}, which is what its {len(offers)} publisher(s) offer"
-        )
-        self._profile = wanted
-        old, self._subscription = self._subscription, self._subscribe()
-        self._node.destroy_subscription(old)
+        needed = {_key(profile): profile for profile in needed_profiles(self._base, offers)}
+        for key in [key for key in self._subscriptions if key not in needed]:
+            self._node.destroy_subscription(self._subscriptions.pop(key))
+        for key, profile in needed.items():
+            if key not in self._subscriptions:
+                words = f"{profile.reliability.name}, {profile.durability.name}".lower()
+                self._node.get_logger().info(f"{name}: subscribing as {words} too, which is what a publisher offers")
+                self._subscriptions[key] = self._subscribe(profile)
 
-    def _subscribe(self) -> Any:
+    def _subscribe(self, profile: QoSProfile) -> Any:
         # Our own handler keeps rclpy from logging a warning for an offer that `check` is about to follow.
         events = SubscriptionEventCallbacks(incompatible_qos=lambda _event: None)
-        return self._node.create_subscription(self._type, self._topic, self._callback, self._profile, event_callbacks=events)
+        return self._node.create_subscription(self._type, self._topic, self._receive, profile, event_callbacks=events)
+
+    def _receive(self, msg: Any, info: Mapping[str, Any]) -> None:
+        sent = int(info.get("source_timestamp") or 0)
+        if sent and sent in self._seen:
+            return
+        self._seen.append(sent)
+        self._callback(msg)
+
+
+def _key(profile: QoSProfile) -> tuple[ReliabilityPolicy, DurabilityPolicy]:
+    return profile.reliability, profile.durability
