@@ -106,7 +106,13 @@ def hot_kernel(function: F) -> F:
 def inline_kernel(function: F) -> F:
     """Compile like `hot_kernel`, but merged into each caller, so that named tuples of many arrays are not copied at the call."""
     with _our_cache():
-        return numba.njit(cache=True, inline="always", _nrt=False, **JIT_OPTIONS)(function)  # type: ignore[no-any-return]
+        return numba.njit(cache=True, forceinline=True, _nrt=False, **JIT_OPTIONS)(function)  # type: ignore[no-any-return]
+
+
+def c_function(signature: Any, function: Callable[..., Any]) -> Any:
+    """Compile `function` as a C function with an address (slow the first time, then read from the cache; keep the result alive)."""
+    with _our_cache():
+        return numba.cfunc(signature, cache=True, _nrt=False, **JIT_OPTIONS)(function)
 
 
 def overload(stub: Callable[..., Any]) -> Callable[[F], F]:

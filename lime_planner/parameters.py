@@ -60,6 +60,7 @@ class Parameter:
         return "any"
 
 
+# fmt: off
 _TABLE = (
     Parameter("robot", "kinova_j2s6s200", "The arm: a built-in model (kinova_j2s6s200, kinova_j2n6s300), `topic`, or a URDF's path.", read_only=True),
     Parameter("arm_joints", [], "The arm's joints in driver order; empty: the model's own.", element=str, read_only=True),
@@ -129,6 +130,7 @@ _NODE_TABLE = (
     Parameter("replan_attempts", 0, "How often `~/plan` plans again from rest after a motion was stopped by a new stem or a deviation.", "", 0, 10),
     Parameter("viewer_port", 0, "Port of the 3-D page; 0: off.", "", 0, 65535, read_only=True),
 )
+# fmt: on
 
 #: Settings of the pipeline, by name.
 PARAMETERS: dict[str, Parameter] = {p.name: p for p in _TABLE}
@@ -257,7 +259,8 @@ def settings_from(mapping: Mapping[str, Any] | None = None) -> Settings:
         values.setdefault(name, parameter.default)
     _check_together(values)
     frozen = {k: tuple(v) if isinstance(v, list) else v for k, v in values.items()}
-    return Settings(**{f.name: frozen[f.name] for f in fields(Settings)})
+    chosen: Any = {f.name: frozen[f.name] for f in fields(Settings)}
+    return Settings(**chosen)
 
 
 def parse_assignment(text: str) -> tuple[str, Any]:

@@ -26,6 +26,7 @@ from lime_planner.pipeline.search import Found, search
 from lime_planner.robot.exact import ExactChecker
 from lime_planner.robot.model import Robot, home
 from lime_planner.robot.shapes import Shapes, build_shapes
+from lime_planner.scene import voxels
 from lime_planner.scene.scene import Scene
 from lime_planner.status import Status
 
@@ -83,6 +84,7 @@ class Pipeline:
         """Build the shapes, and run every kernel once so that no plan pays for compilation."""
         from lime_planner.parameters import PLANNERS, settings_from
 
+        voxels.warm_up()
         q = home(self.robot)
         T = self.robot.forward(q + 0.2)
         apart = T[:3, 3] + np.array([0.0, 0.0, 0.4])
@@ -273,7 +275,7 @@ class Pipeline:
         broken = contract_violations(self.robot, trajectory, q_measured, settings)
         if broken:
             raise _Stopped(Status.PATH_INVALID, "; ".join(broken))
-        hit = hit_of(checker, trajectory.positions, should_stop)
+        hit = hit_of(checker, trajectory.configurations(CERTIFIED_STEP_RAD), should_stop)
         clock.lap("certificate")
         _ask(should_stop)
         if hit is not None:
@@ -311,7 +313,9 @@ class Pipeline:
                 raise _Stopped(Status.PATH_INVALID, f"the exact check refuses the path: {hit}")
             figures = path_figures(obstacles, checker, path, None)
             figures["trajectory"] = self._motion(obstacles, checker, path, path[0], settings, clock, should_stop)
-            outcome = _Stopped(Status.SUCCEEDED, f"{figures['path_length_rad']:.2f} rad, {figures['trajectory'].duration_s:.1f} s of motion")
+            outcome = _Stopped(
+                Status.SUCCEEDED, f"{figures['path_length_rad']:.2f} rad, {figures['trajectory'].duration_s:.1f} s of motion"
+            )
         except _Stopped as stop:
             outcome = stop
         message = outcome.status.message(outcome.sentence)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from typing import Any
 
@@ -14,7 +15,8 @@ from lime_planner.motion.trajectory import Trajectory
 from lime_planner.parameters import Settings
 from lime_planner.pipeline.obstacles import Obstacles
 from lime_planner.poses import matrix_to_pose
-from lime_planner.robot.collision import LEAF, check
+from lime_planner.robot.arm_space import measure
+from lime_planner.robot.collision import LEAF
 from lime_planner.robot.exact import ExactChecker
 from lime_planner.robot.model import Robot
 
@@ -33,7 +35,7 @@ def sample_path(waypoints: Array, step_rad: float) -> tuple[Array, Array]:
     """
     rows, lengths = [waypoints[:1]], [np.zeros(1)]
     along = 0.0
-    for a, b in zip(waypoints[:-1], waypoints[1:], strict=True):
+    for a, b in itertools.pairwise(waypoints):
         length = float(np.linalg.norm(b - a))
         steps = max(1, int(np.ceil(length / step_rad)))
         t = np.arange(1, steps + 1)[:, None] / steps
@@ -56,7 +58,7 @@ def leaf_profile(obstacles: Obstacles, configurations: Array) -> tuple[Array, Ar
     space = obstacles.measuring_space()
     leaf, clear = np.zeros(len(configurations)), np.zeros(len(configurations))
     for i, q in enumerate(np.ascontiguousarray(configurations)):
-        check(space.chain, space.shapes, space.world, space.scratch, q, True, -np.inf, space.state)
+        measure(space, q)
         leaf[i] = space.state.misc[LEAF]
         clear[i] = space.state.clear.min()
     return leaf, clear

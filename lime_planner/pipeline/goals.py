@@ -9,9 +9,11 @@ import numpy.typing as npt
 
 from lime_planner.pipeline.obstacles import Obstacles
 from lime_planner.robot.arm_space import ArmSpace
-from lime_planner.robot.collision import LEAF, SELF, SELF_CLEARANCE_M, check
+from lime_planner.robot.arm_space import measure as arm_measure
+from lime_planner.robot.collision import LEAF, SELF
 from lime_planner.robot.exact import ExactChecker
 from lime_planner.robot.ik import solve_ik
+from lime_planner.robot.self_contact import SELF_CLEARANCE_M
 from lime_planner.status import Status
 
 Array = npt.NDArray[np.float64]
@@ -42,7 +44,7 @@ class Goals:
 
 def measure(space: ArmSpace, q: Array) -> tuple[float, float, float]:
     """Clearance to everything hard, to the arm itself, and leaf intensity at q, whatever is required there."""
-    check(space.chain, space.shapes, space.world, space.scratch, q, True, -np.inf, space.state)
+    arm_measure(space, q)
     return float(space.state.clear.min()), float(space.state.misc[SELF]), float(space.state.misc[LEAF])
 
 
@@ -72,7 +74,7 @@ def find_goals(obstacles: Obstacles, checker: ExactChecker, T_base_tool: Array, 
     none = np.zeros((0, n))
     ik = solve_ik(obstacles.robot, T_base_tool, q_start, rng, starts=settings.ik_starts)
     if len(ik.solutions) == 0:
-        return Goals(none, none, np.zeros(0), Status.NO_IK_SOLUTION, ik.sentence, 0)
+        return Goals(none, none, np.zeros(0), Status.NO_IK_SOLUTION, ik.detail, 0)
     space = obstacles.measuring_space()
     margin = obstacles.world.margin
     kept: list[tuple[float, Array, float]] = []

@@ -10,10 +10,11 @@ import numpy.typing as npt
 
 from lime_planner.parameters import Settings
 from lime_planner.robot.arm_space import ArmSpace, make_arm_space
-from lime_planner.robot.collision import BINARY, GRADED, GRADED_CELL_M, World, empty_world
+from lime_planner.robot.collision import GRADED_CELL_M
 from lime_planner.robot.exact import ExactChecker
 from lime_planner.robot.model import Robot
 from lime_planner.robot.shapes import Shapes
+from lime_planner.robot.world import BINARY, GRADED, World, empty_world
 from lime_planner.scene.fields import build_fields
 from lime_planner.scene.scene import Scene
 from lime_planner.scene.voxels import thin

@@ -15,10 +15,6 @@ from lime_planner.status import Status
 Array = npt.NDArray[np.float64]
 
 
-def _none(*shape: int) -> Any:
-    return field(default_factory=lambda: np.zeros(shape), repr=False)
-
-
 @dataclass(frozen=True, eq=False)
 class PlanResult:
     """The outcome of one plan. Figures about the path are NaN, arrays empty, where there is none.
@@ -57,10 +53,10 @@ class PlanResult:
     min_stem_clearance_m: float = float("nan")
     goal_error_m: float = float("nan")
     goal_error_rad: float = float("nan")
-    waypoints: Array = _none(0, 0)
+    waypoints: Array = field(default_factory=lambda: np.zeros((0, 0)), repr=False)
     trajectory: Trajectory | None = None
-    tool_path: Array = _none(0, 7)
-    tool_leaf: Array = _none(0)
+    tool_path: Array = field(default_factory=lambda: np.zeros((0, 7)), repr=False)
+    tool_leaf: Array = field(default_factory=lambda: np.zeros(0), repr=False)
     phases_s: Mapping[str, float] = field(default_factory=dict)
     counts: Mapping[str, int] = field(default_factory=dict)
     T_base_tool: Array | None = field(default=None, repr=False)

@@ -38,7 +38,7 @@ def plant(bush: Any, root: Any) -> None:
 
 
 @kernel
-def _nearest(space: Any, bush: Any, q: Any) -> int:
+def _nearest(space: Any, bush: Any, q: Any) -> Any:
     best = np.inf
     at = 0
     for i in range(bush.size[0]):
@@ -55,7 +55,7 @@ def _nearest(space: Any, bush: Any, q: Any) -> int:
 
 
 @kernel
-def _extend(space: Any, bush: Any, q: Any, step: float, trial: Any) -> int:
+def _extend(space: Any, bush: Any, q: Any, step: float, trial: Any) -> Any:
     """Grow from the nearest node towards q by at most `step`; the new node, or -1. `trial` is left at where it ends."""
     near = _nearest(space, bush, q)
     gap = distance(space, bush.rows[near], q)

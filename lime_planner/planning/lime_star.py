@@ -107,12 +107,12 @@ def _draw(space: Any, road: Any, tracks: Any, least: float, most: float, random:
         for k in range(n):
             q[k] = road.rows[goal, k]
     else:
-        t = below(random, tracks.count.shape[0])
-        if tracks.count[t] < 2:
+        t = below(random, tracks.size.shape[0])
+        if tracks.size[t] < 2:
             return
         pick = uniform(random) * tracks.cost[t]
         i = 0
-        while i < tracks.count[t] - 2 and pick >= tracks.segment[t, i]:
+        while i < tracks.size[t] - 2 and pick >= tracks.segment[t, i]:
             pick -= tracks.segment[t, i]
             i += 1
         share = uniform(random)
@@ -154,7 +154,8 @@ class _Run:
         self.from_start, self.from_goal = trees.new_bush(n), trees.new_bush(n)
         self.path, self.trial, self.q = np.zeros((local.MAX_WAYPOINTS, n)), np.zeros((2, n)), np.zeros(n)
         self.iterations = 0
-        self.best_cost, self.best_path = math.inf, None
+        self.best_cost = math.inf
+        self.best_path: Array | None = None
         self.history: list[tuple[float, int, float]] = []
         self.began = time.monotonic()
 
@@ -165,7 +166,7 @@ class _Run:
         """Remember track t if it is the best so far."""
         if self.tracks.cost[t] < self.best_cost:
             self.best_cost = float(self.tracks.cost[t])
-            self.best_path = self.tracks.points[t, : self.tracks.count[t]].copy()
+            self.best_path = self.tracks.points[t, : self.tracks.size[t]].copy()
             self.history.append((self.elapsed(), self.iterations, self.best_cost))
 
     def adopt(self, count: int, bound: float) -> int:
@@ -175,16 +176,16 @@ class _Run:
         spare = self.options.tracks
         if not local.load_track(self.space, self.tracks, spare, self.path, count, self.options.weight, self.most / 4, limit):
             return -1
-        for name in ("points", "count", "segment", "step", "cost"):
+        for name in ("points", "size", "segment", "step", "cost"):
             array = getattr(self.tracks, name)
             array[worst] = array[spare]
-        self.tracks.count[spare], self.tracks.cost[spare] = 0, np.inf
+        self.tracks.size[spare], self.tracks.cost[spare] = 0, np.inf
         self.keep(worst)
         return worst
 
 
 def _goal_vertex(run: _Run, t: int) -> int:
-    end = run.tracks.points[t, run.tracks.count[t] - 1]
+    end = run.tracks.points[t, run.tracks.size[t] - 1]
     return 1 + int(np.argmin(((run.goals - end) ** 2).sum(axis=1)))
 
 
@@ -308,7 +309,7 @@ def _round(run: _Run, over: Callable[[], bool], left: Callable[[int], int]) -> N
     run.iterations += samples
     if math.isfinite(run.tracks.cost[best_track]):
         goal = _goal_vertex(run, best_track)
-        count = int(run.tracks.count[best_track])
+        count = int(run.tracks.size[best_track])
         graph.add_path(run.space, run.road, run.tracks.points[best_track], run.tracks.segment[best_track], count, goal)
     graph.begin_search(run.space, run.road, o.weight, run.best_cost)
     while not graph.continue_search(run.space, run.road, o.weight, run.best_cost, 100):

@@ -26,7 +26,7 @@ class Tracks(NamedTuple):
     """Paths being improved; T tracks.
 
     Attributes:
-        points: (T, W, n) waypoints; count: (T,) how many, 0 for an empty track.
+        points: (T, W, n) waypoints; size: (T,) how many, 0 for an empty track.
         segment: (T, W) exact cost of the edge to the next waypoint.
         step: (T, W) standard deviation of the next move of a waypoint.
         cost: (T,) sums of the segments, inf for an empty track.
@@ -34,7 +34,7 @@ class Tracks(NamedTuple):
     """
 
     points: Array
-    count: npt.NDArray[np.int64]
+    size: npt.NDArray[np.int64]
     segment: Array
     step: Array
     cost: Array
@@ -57,7 +57,7 @@ def new_tracks(tracks: int, n: int) -> Tracks:
 def sum_cost(tracks: Any, t: int) -> None:
     """Add a track's segments up."""
     total = 0.0
-    for i in range(tracks.count[t] - 1):
+    for i in range(tracks.size[t] - 1):
         total += tracks.segment[t, i]
     tracks.cost[t] = total
 
@@ -66,7 +66,7 @@ def sum_cost(tracks: Any, t: int) -> None:
 def load_track(space: Any, tracks: Any, t: int, path: Any, count: int, weight: float, step: float, bound: float) -> bool:
     """Put a path (M, n) of valid edges into track t; its cost is evaluated. False, and the track is empty, above `bound`."""
     total = 0.0
-    tracks.count[t] = 0
+    tracks.size[t] = 0
     tracks.cost[t] = np.inf
     for i in range(count - 1):
         c = edge(space, path[i], path[i + 1], weight, bound - total)
@@ -77,7 +77,7 @@ def load_track(space: Any, tracks: Any, t: int, path: Any, count: int, weight: f
     for i in range(count):
         tracks.points[t, i] = path[i]
         tracks.step[t, i] = step
-    tracks.count[t] = count
+    tracks.size[t] = count
     tracks.cost[t] = total
     return True
 
@@ -86,19 +86,19 @@ def load_track(space: Any, tracks: Any, t: int, path: Any, count: int, weight: f
 def _remove_between(tracks: Any, t: int, i: int, j: int, cost: float) -> None:
     """Join waypoints i and j of a track by an edge of the given cost."""
     gone = j - i - 1
-    for k in range(i + 1, tracks.count[t] - gone):
+    for k in range(i + 1, tracks.size[t] - gone):
         tracks.points[t, k] = tracks.points[t, k + gone]
         tracks.step[t, k] = tracks.step[t, k + gone]
         tracks.segment[t, k] = tracks.segment[t, k + gone]
     tracks.segment[t, i] = cost
-    tracks.count[t] -= gone
+    tracks.size[t] -= gone
     sum_cost(tracks, t)
 
 
 @kernel
 def _shortcut(space: Any, tracks: Any, t: int, weight: float, random: Any) -> bool:
     """Try to join two waypoints directly."""
-    m = tracks.count[t]
+    m = tracks.size[t]
     if m < 3:
         return False
     i = below(random, m - 2)
@@ -147,7 +147,7 @@ def _perturb(space: Any, centre: Any, step: float, random: Any, out: Any) -> boo
 @kernel
 def _move(space: Any, tracks: Any, t: int, weight: float, least: float, random: Any) -> bool:
     """Try to move one waypoint."""
-    m = tracks.count[t]
+    m = tracks.size[t]
     if m < 3:
         return False
     i = 1 + below(random, m - 2)
@@ -169,7 +169,7 @@ def _move(space: Any, tracks: Any, t: int, weight: float, least: float, random: 
 @kernel
 def _insert(space: Any, tracks: Any, t: int, weight: float, least: float, most: float, random: Any) -> bool:
     """Try a new waypoint beside an edge chosen by its cost."""
-    m = tracks.count[t]
+    m = tracks.size[t]
     if m >= MAX_WAYPOINTS or m < 2:
         return False
     pick = uniform(random) * tracks.cost[t]
@@ -197,7 +197,7 @@ def _insert(space: Any, tracks: Any, t: int, weight: float, least: float, most: 
     tracks.step[t, i + 1] = step
     tracks.segment[t, i] = first
     tracks.segment[t, i + 1] = second
-    tracks.count[t] = m + 1
+    tracks.size[t] = m + 1
     sum_cost(tracks, t)
     return True
 
@@ -216,7 +216,7 @@ def polish(space: Any, tracks: Any, t: int, trials: int, weight: float, least: f
     """
     for _ in range(trials):
         kind = uniform(random)
-        if tracks.count[t] < 3 or kind < 0.35:
+        if tracks.size[t] < 3 or kind < 0.35:
             _insert(space, tracks, t, weight, least, most, random)
         elif kind < 0.5:
             _shortcut(space, tracks, t, weight, random)

@@ -17,7 +17,7 @@ State = npt.NDArray[np.uint64]
 
 def random_state(seed: int) -> State:
     """Return the state (1,) of a generator, well spread even for neighbouring seeds."""
-    return np.random.SeedSequence(seed).generate_state(1, np.uint64)
+    return np.asarray(np.random.SeedSequence(seed).generate_state(1, np.uint64), dtype=np.uint64)
 
 
 @hot_kernel

@@ -94,7 +94,7 @@ def enlarged(roadmap: Roadmap) -> Roadmap:
 
 
 @kernel
-def add_edge(roadmap: Any, a: int, b: int, length: float) -> int:
+def add_edge(roadmap: Any, a: int, b: int, length: float) -> Any:
     """Join two vertices; the edge's number, -1 when there is no room."""
     e = roadmap.size[1]
     if e >= roadmap.length.shape[0]:
@@ -139,7 +139,7 @@ def _scan(roadmap: Any, q: Any, k: int) -> int:
 
 
 @kernel
-def add_vertex(space: Any, roadmap: Any, q: Any, leaf: float) -> int:
+def add_vertex(space: Any, roadmap: Any, q: Any, leaf: float) -> Any:
     """Add a valid configuration and join it to its nearest; the vertex's number, -1 when there is no room."""
     v = roadmap.size[0]
     n = q.shape[0]
@@ -198,7 +198,7 @@ def _push(roadmap: Any, key: float, item: int) -> bool:
 
 
 @kernel
-def _pop(roadmap: Any) -> int:
+def _pop(roadmap: Any) -> Any:
     top = roadmap.item[0]
     last = roadmap.size[3] - 1
     roadmap.size[3] = last
@@ -222,7 +222,7 @@ def _pop(roadmap: Any) -> int:
 
 
 @kernel
-def _estimate(roadmap: Any, e: int, weight: float) -> float:
+def _estimate(roadmap: Any, e: int, weight: float) -> Any:
     """What an edge may cost: the true cost where known, else its length and the leaves that both ends touch."""
     if roadmap.known[e] == UNKNOWN:
         both = min(roadmap.leaf[roadmap.ends[e, 0]], roadmap.leaf[roadmap.ends[e, 1]])

@@ -98,7 +98,8 @@ def signed_distance_grid(vertices: Array, triangles: npt.NDArray[np.int32]) -> t
     shell = (~outside & ~enclosed & (regions == 0)).nonzero()
     inside = enclosed | (~outside & (regions > 0))
     inside[shell] = scene.compute_occupancy(nodes[shell], nsamples=3).numpy() > 0.5
-    return low, spacing, np.where(inside, -np.where(enclosed, np.maximum(unsigned, depth - 1.9 * spacing), unsigned), unsigned).astype(np.float32)
+    deep = np.where(enclosed, np.maximum(unsigned, depth - 1.9 * spacing), unsigned)
+    return low, spacing, np.where(inside, -deep, unsigned).astype(np.float32)
 
 
 def _interpolate(origin: Array, spacing: float, values: npt.NDArray[np.float32], points: Array) -> Array:
@@ -291,8 +292,6 @@ def build_shapes(robot: Robot) -> Shapes:
         np.savez(temporary, **arrays)
         temporary.replace(path)
     empty = np.zeros((0, 3))
-    vertices = [
-        np.vstack([empty, *[link.vertices for link in robot.links if link.joint == b]]) for b in range(len(robot.joint_names) + 1)
-    ]
+    vertices = [np.vstack([empty, *[link.vertices for link in robot.links if link.joint == b]]) for b in range(len(robot.joint_names) + 1)]
     gripper = max((link.joint for link in robot.links if link.gripper), default=len(robot.joint_names))
     return Shapes(**arrays, pairs=_body_pairs(robot), lever=_levers(robot.chain, vertices), gripper=int(gripper))

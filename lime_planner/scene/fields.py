@@ -8,7 +8,7 @@ caller asks the hash for the points themselves. Nothing here knows robots or lab
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -68,7 +68,7 @@ class Fields(NamedTuple):
 
 
 @kernel
-def _count_cells(points, origin, inverse, shape, cell_of, start):  # type: ignore[no-untyped-def]
+def _count_cells(points: Any, origin: Any, inverse: Any, shape: Any, cell_of: Any, start: Any) -> Any:
     for i in range(points.shape[0]):
         c = 0
         for k in range(3):
@@ -82,7 +82,7 @@ def _count_cells(points, origin, inverse, shape, cell_of, start):  # type: ignor
 
 
 @kernel
-def _place_points(points, weights, cell_of, start, fill, out, out_weights):  # type: ignore[no-untyped-def]
+def _place_points(points: Any, weights: Any, cell_of: Any, start: Any, fill: Any, out: Any, out_weights: Any) -> Any:
     for i in range(points.shape[0]):
         c = cell_of[i]
         at = start[c] + fill[c]
@@ -119,7 +119,7 @@ def hash_points(points: npt.ArrayLike, weights: npt.ArrayLike | None = None, cel
 
 
 @kernel
-def _splat(points, origin, h, radius, squares, seeds):  # type: ignore[no-untyped-def]
+def _splat(points: Any, origin: Any, h: Any, radius: Any, squares: Any, seeds: Any) -> Any:
     """Write each node's squared distance to its nearest point, exact within `radius`; mark the node nearest to each point."""
     nx, ny, nz = squares.shape
     inverse = 1.0 / h
@@ -142,7 +142,7 @@ def _splat(points, origin, h, radius, squares, seeds):  # type: ignore[no-untype
 
 
 @kernel
-def _parabolas(f, n, v, z, out):  # type: ignore[no-untyped-def]
+def _parabolas(f: Any, n: Any, v: Any, z: Any, out: Any) -> Any:
     """One line of the exact Euclidean distance transform (lower envelope of parabolas, Felzenszwalb and Huttenlocher 2012)."""
     k = -1
     for q in range(n):
@@ -175,7 +175,7 @@ def _parabolas(f, n, v, z, out):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _transform(g):  # type: ignore[no-untyped-def]
+def _transform(g: Any) -> Any:
     """Squared Euclidean distance transform in node units, in place; zeros are the seeds, 1e12 elsewhere."""
     nx, ny, nz = g.shape
     n = max(nx, ny, nz)
@@ -214,7 +214,7 @@ def _transform(g):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _merge(squares, far, h, band, channel, values):  # type: ignore[no-untyped-def]
+def _merge(squares: Any, far: Any, h: Any, band: Any, channel: Any, values: Any) -> Any:
     """Nodes in the band keep their exact distance; the others get a lower bound from the transform between nodes."""
     nx, ny, nz = squares.shape
     for a in range(nx):
@@ -270,7 +270,7 @@ def build_fields(
 
 
 @inline_kernel
-def box_distance(box, x, y, z):  # type: ignore[no-untyped-def]
+def box_distance(box: Any, x: Any, y: Any, z: Any) -> Any:
     """Distance from a place to an axis-aligned box (2, 3), 0 inside [m]."""
     dx = max(box[0, 0] - x, 0.0, x - box[1, 0])
     dy = max(box[0, 1] - y, 0.0, y - box[1, 1])
@@ -279,7 +279,7 @@ def box_distance(box, x, y, z):  # type: ignore[no-untyped-def]
 
 
 @inline_kernel
-def sample(fields, x, y, z):  # type: ignore[no-untyped-def]
+def sample(fields: Any, x: Any, y: Any, z: Any) -> Any:
     """Interpolated distances (stem, leaf) at a place [m]; outside the grid, the distance to the points' bounding boxes."""
     values = fields.values
     inverse = 1.0 / fields.spacing_m
@@ -326,7 +326,7 @@ def sample(fields, x, y, z):  # type: ignore[no-untyped-def]
 
 
 @inline_kernel
-def lower_bound(distance, spacing_m):  # type: ignore[no-untyped-def]
+def lower_bound(distance: Any, spacing_m: Any) -> Any:
     """Lower bound of the true distance given the interpolated one [m].
 
     The distance to a point set is the minimum of convex functions, so linear interpolation overstates it: by at most h²/(4 d) at a
