@@ -8,6 +8,7 @@ import os
 import signal
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, TypeVar
@@ -99,6 +100,10 @@ def _drain(
             for future in finished:
                 pending.discard(future)
                 done(future.result())
+        except BrokenProcessPool:
+            if not interrupted:
+                raise
+            return False  # ctrl-C met a process that was still starting
         except KeyboardInterrupt:
             if interrupted:
                 raise  # a second ctrl-C: leave at once

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import contextlib
+import warnings
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -62,6 +64,15 @@ class Comparison:
     hedges_g: float
 
 
+@contextlib.contextmanager
+def _quiet() -> Iterator[None]:
+    # pingouin 0.7 uses what pandas 4 will drop.
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)
+        warnings.simplefilter("ignore", FutureWarning)
+        yield
+
+
 def long_table(costs: dict[str, Array], marks: Sequence[int]) -> Any:
     """Return a data frame with one line for each trial and mark; trials with a failure at any mark are left out whole.
 
@@ -90,9 +101,10 @@ def mixed_anova(costs: dict[str, Array], marks: Sequence[int]) -> list[Effect]:
     """
     import pingouin  # type: ignore[import-untyped, unused-ignore]
 
-    table = pingouin.mixed_anova(
-        data=long_table(costs, marks), dv="cost", within="iterations", subject="trial", between="algorithm", correction=True
-    )
+    with _quiet():
+        table = pingouin.mixed_anova(
+            data=long_table(costs, marks), dv="cost", within="iterations", subject="trial", between="algorithm", correction=True
+        )
     effects = []
     for line in table.to_dict("records"):
         corrected = float(line.get("p_GG_corr", np.nan))
@@ -118,16 +130,17 @@ def post_hoc(costs: dict[str, Array], marks: Sequence[int]) -> list[dict[str, An
     """
     import pingouin  # type: ignore[import-untyped, unused-ignore]
 
-    table = pingouin.pairwise_tests(
-        data=long_table(costs, marks),
-        dv="cost",
-        within="iterations",
-        subject="trial",
-        between="algorithm",
-        padjust="holm",
-        effsize="hedges",
-        correction=True,
-    )
+    with _quiet():
+        table = pingouin.pairwise_tests(
+            data=long_table(costs, marks),
+            dv="cost",
+            within="iterations",
+            subject="trial",
+            between="algorithm",
+            padjust="holm",
+            effsize="hedges",
+            correction=True,
+        )
     return [{str(k): v for k, v in line.items()} for line in table.to_dict("records")]
 
 

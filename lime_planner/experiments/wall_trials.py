@@ -19,7 +19,8 @@ from lime_planner.planning.paper import PaperOptions, Snapshot, plan_paper
 from lime_planner.planning.plane import PlaneWorld, wall_g, world_from_dict
 
 _CURVE_POINTS = 20  # of the cost-over-iterations figure
-_SAVE_EVERY_S = 10.0
+_SAVE_EVERY_S = 2.0
+_SAVE_SHARE = 0.02  # of the time may go into saving
 
 
 @dataclass(frozen=True)
@@ -217,14 +218,15 @@ def collect(options: WallOptions, path: Path, *, jobs: int, resume: bool) -> tup
         "complete": False,
         "trials": trials,
     }
-    saved_s = time.monotonic()
+    next_save_s = time.monotonic() + _SAVE_EVERY_S
 
     def keep(record: dict[str, Any]) -> None:
-        nonlocal saved_s
+        nonlocal next_save_s
         trials.append(record)
-        if time.monotonic() - saved_s > _SAVE_EVERY_S:
+        now_s = time.monotonic()
+        if now_s > next_save_s:
             write_json(path, results)
-            saved_s = time.monotonic()
+            next_save_s = time.monotonic() + max(_SAVE_EVERY_S, (time.monotonic() - now_s) / _SAVE_SHARE)
 
     if tasks:  # compiled once here; the processes then load it
         row = options.rows[0]
