@@ -91,7 +91,9 @@ class Pipeline:
         points = apart + np.random.default_rng(0).uniform(-0.05, 0.05, (64, 3))
         scene = Scene.from_points(points, np.arange(64) % 2, frame_id=self.robot.planning_frame)
         for planner in PLANNERS:
-            settings = settings_from({"planner": planner, "iterations": 50, "ik_starts": 10, "leaf_speed_scale": 0.9})
+            # Enough iterations to pass through every part of a search.
+            iterations = 600 if planner == "lime_star" else 50
+            settings = settings_from({"planner": planner, "iterations": iterations, "ik_starts": 10, "leaf_speed_scale": 0.9})
             self.plan(scene, T, q, settings, seed=1)
         self._kept = None
 

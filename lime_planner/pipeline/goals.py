@@ -83,7 +83,7 @@ def find_goals(obstacles: Obstacles, checker: ExactChecker, T_base_tool: Array, 
         clear, own, leaf = measure(space, q)
         if clear < MODEL_ERROR_M or own < SELF_CLEARANCE_M:
             hit = checker.stem_hit(q)
-            what = hit.what if hit is not None else "stem"
+            what = hit.what if hit is not None else "tight"
             hits[what] = hits.get(what, 0) + 1
             continue
         rank = float(np.linalg.norm(q - q_start)) + (1.0 if leaf > 0.0 else 0.0)
@@ -105,6 +105,7 @@ def find_goals(obstacles: Obstacles, checker: ExactChecker, T_base_tool: Array, 
 
 _IN_WORDS = {
     "stem": "in a stem",
+    "tight": "closer to a stem than can be certified",
     "self": "in collision with the arm itself",
     "keep_out": "in a keep-out box",
     "floor": "below the floor",
