@@ -123,7 +123,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except LimePlannerError as error:
         if args.debug:
             traceback.print_exc()
-        print(Status.BAD_INPUT.message(str(error)), file=sys.stderr)
+        print(getattr(error, "status", Status.BAD_INPUT).message(str(error)), file=sys.stderr)
     except ModuleNotFoundError as error:
         if args.debug:
             traceback.print_exc()

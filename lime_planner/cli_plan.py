@@ -181,7 +181,7 @@ def _refuse(args: argparse.Namespace, code: str, message: str) -> int:
 
 def _report(result: PlanResult, scene: Scene, robot: Robot, q_start: Any, target: Any, args: argparse.Namespace) -> int:
     from lime_planner.status import Status
-    from lime_planner.viewer.tables import print_plans, write_json
+    from lime_planner.viewer.tables import headline, print_plans, write_json
 
     figures = result.figures()
     if args.json is not None:
@@ -199,7 +199,7 @@ def _report(result: PlanResult, scene: Scene, robot: Robot, q_start: Any, target
             tool_path=result.tool_path if found else None,
             tool_leaf=result.tool_leaf if found else None,
             target_pose=target,
-            title=picture_title(figures),
+            title=headline(figures) if result.status is Status.SUCCEEDED else result.status.name,
         )
         print(f"picture: {args.picture}")
     if result.status is not Status.SUCCEEDED:
@@ -211,13 +211,3 @@ def _report(result: PlanResult, scene: Scene, robot: Robot, q_start: Any, target
     extra += [("iterations", [str(result.iterations)]), ("seed", [str(result.seed)])]
     print_plans(f"{result.planner} in {args.scene}", [("plan", figures)], extra)
     return 0
-
-
-def picture_title(figures: dict[str, Any]) -> str:
-    """Return the line above a picture: status and the figures that matter."""
-    if figures["status"] != "SUCCEEDED":
-        return str(figures["status"])
-    return (
-        f"{figures['planner']}: leaf contact {figures['leaf_contact_rad']:.2f} rad of {figures['path_length_rad']:.2f} rad, "
-        f"stem clearance {1000.0 * figures['min_stem_clearance_m']:.1f} mm"
-    )

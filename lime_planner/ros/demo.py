@@ -7,12 +7,13 @@ import contextlib
 import dataclasses
 import signal
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from lime_planner.errors import LimePlannerError, ParameterError
+from lime_planner.errors import ParameterError
 from lime_planner.parameters import PARAMETERS, parse_assignment, settings_from
+from lime_planner.ros.demo_processes import DemoError
 from lime_planner.ros.demo_report import MOTION_TIMEOUT_S, Driven, report, verdict
 from lime_planner.status import Status
 
@@ -28,9 +29,9 @@ if TYPE_CHECKING:
 
     Array = npt.NDArray[np.float64]
 
-DEFAULT_SEED = 1
+DEFAULT_SEED = 15
 _READY_TIMEOUT_S = 240.0  # compiling everything for the first time takes its while on a slow machine
-_TARGETS_TRIED = 12
+_TARGETS_TRIED = 80
 
 _EPILOG = """\
 Three nodes run as processes on this machine, in a ROS domain and a namespace of
@@ -111,7 +112,7 @@ def _scene(args: argparse.Namespace, robot: Robot) -> Scene:
     else:
         scene = load_scene(args.scene, scale=args.scale, offset=args.offset, default_frame=robot.planning_frame)
     if scene.frame_id != robot.planning_frame:
-        raise LimePlannerError(f"the scene is in the frame {scene.frame_id!r}, the arm plans in {robot.planning_frame!r}")
+        raise DemoError(f"the scene is in the frame {scene.frame_id!r}, the arm plans in {robot.planning_frame!r}", Status.TF_ERROR)
     return scene if args.target is None else dataclasses.replace(scene, target_pose=np.asarray(args.target))
 
 
@@ -126,9 +127,13 @@ def _with_drawn_target(scene: Scene, robot: Robot, pipeline: Pipeline, planning:
     poses = canopy_targets(scene, np.random.default_rng(DEFAULT_SEED), _TARGETS_TRIED)
     settings = settings_from(planning)
     for pose in poses:
-        if pipeline.plan(scene, pose_to_matrix(pose), home(robot), settings, seed=DEFAULT_SEED).status is Status.SUCCEEDED:
+        result = pipeline.plan(scene, pose_to_matrix(pose), home(robot), settings, seed=DEFAULT_SEED)
+        if result.status is Status.SUCCEEDED:
             return dataclasses.replace(scene, target_pose=pose)
-    raise LimePlannerError(f"no path was found to any of {len(poses)} places drawn in the canopy; give a --target or an --offset")
+        if result.status in (Status.START_INVALID, Status.START_IN_STEM):
+            raise DemoError(f"{result.message.partition(': ')[2]}; move the scene with --offset X Y Z", result.status)
+    sentence = f"no path was found to any of {len(poses)} places drawn in the canopy"
+    raise DemoError(f"{sentence}; give a --target, or move the scene with --offset X Y Z", Status.GOAL_IN_STEM)
 
 
 @contextlib.contextmanager
@@ -162,8 +167,8 @@ def _drive(args: argparse.Namespace, values: Mapping[str, Any], robot: Robot, sc
         nodes.start("planner_node", "lime_planner.ros.planner_node", {**arm, "controller": args.controller, **values})
         with DemoClient(corner, robot.joint_names, nodes.check) as client:
             client.wait(client.planner_serves, 30.0, "the planner's service and the arm's joint states")
-            clock.say("all nodes are up; the planner loads its model (the first time ever it compiles: up to a minute or two)")
-            client.wait(lambda: client.engine == "ready", _READY_TIMEOUT_S, "the planner to get ready")
+            clock.say("all nodes are up")
+            _wait_until_ready(client, nodes.check, clock)
             clock.say(f"calling {corner.namespace}/lime_planner/plan")
             before = len(client.states)
             success, message = client.plan(60.0)
@@ -171,6 +176,23 @@ def _drive(args: argparse.Namespace, values: Mapping[str, Any], robot: Robot, sc
             if success:
                 _follow(client, nodes, robot, scene, clock)
             return Driven(success, message, dict(client.status), client.states[max(0, before - 1) :])
+
+
+def _wait_until_ready(client: DemoClient, check: Callable[[], None], clock: Clock) -> None:
+    """Follow the planner's loading and compiling; it says in its health message how far it is."""
+    deadline, said = time.monotonic() + _READY_TIMEOUT_S, ""
+    while client.engine != "ready":
+        now = client.engine
+        if now and now != said:
+            said = now
+            first = " (up to two minutes the first time ever, a second or two later)" if "compil" in said else ""
+            clock.say(f"the planner is {said}{first}")
+        if "cannot be loaded" in said or "failed" in said:
+            raise DemoError(said, Status.BAD_INPUT)
+        if time.monotonic() > deadline:
+            raise DemoError(f"the planner was not ready after {_READY_TIMEOUT_S:g} s; it says: {said or 'nothing'}")
+        check()
+        time.sleep(0.05)
 
 
 def _follow(client: DemoClient, nodes: Processes, robot: Robot, scene: Scene, clock: Clock) -> None:

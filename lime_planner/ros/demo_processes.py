@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from lime_planner.errors import LimePlannerError
+from lime_planner.status import Status
 
 _END_TIMEOUT_S = 6.0
 _PR_SET_PDEATHSIG = 1  # linux/prctl.h
@@ -21,6 +22,11 @@ _PR_SET_PDEATHSIG = 1  # linux/prctl.h
 
 class DemoError(LimePlannerError):
     """Why the demo cannot go on, in one sentence."""
+
+    def __init__(self, sentence: str, status: Status = Status.NOT_READY) -> None:
+        """Keep the sentence, and the code that it is printed with."""
+        super().__init__(sentence)
+        self.status = status
 
 
 @dataclass(frozen=True)
@@ -97,7 +103,7 @@ class Processes:
             if code is not None:
                 lines = self._log(name).read_text(encoding="utf-8", errors="replace").strip().splitlines()
                 last = next((line for line in reversed(lines) if line.strip()), "it printed nothing")
-                raise DemoError(f"{name} ended with code {code}: {last.strip()} (the rest is in {self._log(name)})")
+                raise DemoError(f"{name} ended with code {code}: {last.strip()} (the rest is in {self._log(name)})", Status.INTERNAL_ERROR)
 
     def __enter__(self) -> Processes:
         """Nothing to do: nodes are started one by one."""

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from lime_planner.parameters import settings_from
 from lime_planner.status import Status
+from lime_planner.viewer.tables import headline, print_plans, write_json
 
 if TYPE_CHECKING:
     import numpy as np
@@ -44,12 +45,8 @@ class Driven:
     states: Array
 
 
-def report(
-    args: argparse.Namespace, robot: Robot, scene: Scene, driven: Driven, comparisons: list[tuple[str, Mapping[str, Any]]]
-) -> Path:
+def report(args: argparse.Namespace, robot: Robot, scene: Scene, driven: Driven, comparisons: list[tuple[str, Mapping[str, Any]]]) -> Path:
     """Write figures and picture, print the table; return the picture's file."""
-    from lime_planner.viewer.tables import print_plans, write_json
-
     figures = _numbers(driven)
     error_m, error_rad = _goal_error(robot, scene, driven)
     picture = _picture(args, robot, scene, driven, figures)
@@ -57,8 +54,8 @@ def report(
     measured = driven.success
     extra = [
         ("motion", [str(figures.get("execution_code", "–")), "not driven", "not driven"]),
-        ("goal error, measured [mm]", [f"{1000.0 * error_m:.2f}" if measured else "–", "–", "–"]),
-        ("goal error, measured [mrad]", [f"{1000.0 * error_rad:.2f}" if measured else "–", "–", "–"]),
+        ("goal error, measured [mm]", [f"{1000.0 * error_m:.3f}" if measured else "–", "–", "–"]),
+        ("goal error, measured [mrad]", [f"{1000.0 * error_rad:.3f}" if measured else "–", "–", "–"]),
     ]
     print()
     print_plans(f"Reach to a target in {args.scene or 'a generated lime plant'}", [("leaves cost", figures), *comparisons], extra)
@@ -73,7 +70,7 @@ def verdict(robot: Robot, scene: Scene, driven: Driven) -> int:
     if trouble:
         print(trouble, file=sys.stderr)
         return 1
-    print(Status.SUCCEEDED.message(f"the arm reached the target to {1000.0 * error_m:.2f} mm and {1000.0 * error_rad:.2f} mrad"))
+    print(Status.SUCCEEDED.message(f"the arm reached the target to {1000.0 * error_m:.3f} mm and {1000.0 * error_rad:.3f} mrad"))
     return 0
 
 
@@ -98,7 +95,7 @@ def _numbers(driven: Driven) -> dict[str, Any]:
         try:
             figures[key] = float(value)
         except ValueError:
-            figures[key] = value
+            figures[key] = value or None
     figures["status"] = figures.get("code") or driven.message.partition(":")[0]
     return figures
 
@@ -127,10 +124,7 @@ def _picture(args: argparse.Namespace, robot: Robot, scene: Scene, driven: Drive
 
     states = driven.states if len(driven.states) else home(robot)[None]
     moved = len(states) > 1 and driven.success
-    title = driven.message.partition(" [")[0] if not moved else (
-        f"{figures.get('planner', '')}: leaf contact {_text(figures, 'leaf_contact_rad')} rad of {_text(figures, 'path_length_rad')} rad, "
-        f"stem clearance {_text(figures, 'min_stem_clearance_m', 1000.0)} mm"
-    )
+    title = headline(figures) if moved else driven.message.partition(" [")[0]
     options: dict[str, Any] = {}
     if moved:
         shown = states[np.unique(np.linspace(0, len(states) - 1, _PICTURE_STATES).round().astype(int))]
@@ -148,8 +142,3 @@ def _picture(args: argparse.Namespace, robot: Robot, scene: Scene, driven: Drive
             "tool_leaf": np.array([float(checker.leaf_contact(q)) for q in shown]),
         }
     return draw_picture(args.out / "demo.png", scene, robot, q_start=states[0], target_pose=scene.target_pose, title=title, **options)
-
-
-def _text(figures: Mapping[str, Any], key: str, factor: float = 1.0) -> str:
-    value = figures.get(key)
-    return f"{value * factor:.2f}" if isinstance(value, float) else "–"

@@ -41,6 +41,13 @@ def cell(figures: Mapping[str, Any], key: str, factor: float = 1.0, decimals: in
     return f"{float(value) * factor:.{decimals}f}"
 
 
+def headline(figures: Mapping[str, Any]) -> str:
+    """Return planner, leaf contact, length and clearance in one line, as the table shows them."""
+    texts = {key: cell(figures, key, factor, decimals) for key, _, _, factor, decimals in ROWS}
+    contact, length, clearance = (texts[key] for key in ("leaf_contact_rad", "path_length_rad", "min_stem_clearance_m"))
+    return f"{figures.get('planner', '')}: leaf contact {contact} rad of {length} rad, stem clearance {clearance} mm"
+
+
 def print_plans(title: str, columns: Sequence[tuple[str, Mapping[str, Any]]], extra: Sequence[tuple[str, Sequence[str]]] = ()) -> None:
     """Print plans side by side.
 
