@@ -95,27 +95,31 @@ class Bench:
     """Cameras, arm and operator around a planner node, in this process."""
 
     def __init__(
-        self, joint_names: Sequence[str], q: np.ndarray, *, domain: int, planner: str = "lime_planner", rate_hz: float = 100.0
+        self, joint_names: Sequence[str], q: np.ndarray, *, domain: int, namespace: str = "", rate_hz: float = 100.0, plays_arm: bool = True
     ) -> None:
+        planner = "lime_planner"
         self.context = rclpy.Context()
         rclpy.init(context=self.context, domain_id=domain)
-        self.node = Node("bench", context=self.context)
+        self.node = Node("bench", context=self.context, namespace=namespace)
         self.executor = SingleThreadedExecutor(context=self.context)
         self.executor.add_node(self.node)
         self.joint_names = list(joint_names)
         self.q = np.array(q, dtype=np.float64)
         self.publish_states = True
-        self.follow = True
+        self.follow = plays_arm
         self.commands: list[tuple[float, JointTrajectory]] = []
         self.statuses: list[dict[str, str]] = []
         self.paths: list[PathMsg] = []
         self.health: dict[str, str] = {}
         self._motion: tuple[float, Trajectory] | None = None
-        self._prefix = planner
         self.leaf = self.node.create_publisher(PointCloud2, "leaf_cloud", qos.LATCHED)
         self.stem = self.node.create_publisher(PointCloud2, "stem_cloud", qos.LATCHED)
         self.target = self.node.create_publisher(PoseStamped, "grasp_target", qos.NEWEST)
-        self.joints = self.node.create_publisher(JointState, "joint_states", 10)
+        if plays_arm:
+            self.joints = self.node.create_publisher(JointState, "joint_states", 10)
+            self.node.create_timer(1.0 / rate_hz, self._tick)
+        else:  # somebody else does: only listen
+            self.node.create_subscription(JointState, "joint_states", self._on_joint_state, qos.JOINT_STATES)
         self.node.create_subscription(DiagnosticArray, f"{planner}/status", lambda msg: self.statuses.append(read_status(msg)), qos.STATUS)
         self.node.create_subscription(DiagnosticArray, "/diagnostics", lambda msg: self.health.update(read_status(msg)), 10)
         self.node.create_subscription(PathMsg, f"{planner}/tool_path", self.paths.append, qos.LATCHED)
@@ -127,7 +131,6 @@ class Bench:
         }
         self.clients["preview_to"] = self.node.create_client(GetPlan, f"{planner}/preview_to")
         self._set_parameters = self.node.create_client(SetParameters, f"{planner}/set_parameters")
-        self.node.create_timer(1.0 / rate_hz, self._tick)
         self._done = threading.Event()
         self._thread = threading.Thread(target=self._spin, daemon=True)
         self._thread.start()
@@ -161,6 +164,9 @@ class Bench:
             tuple(msg.joint_names), times, np.array([point.positions for point in msg.points]), np.array([p.velocities for p in msg.points])
         )
         self._motion = (now, motion)
+
+    def _on_joint_state(self, msg: JointState) -> None:
+        self.q = np.array([msg.position[msg.name.index(name)] for name in self.joint_names])
 
     def _tick(self) -> None:
         if self._motion is not None and self.follow:
@@ -218,8 +224,12 @@ class Bench:
         """Wait until a condition holds."""
         deadline = time.monotonic() + timeout_s
         while not condition():
-            assert time.monotonic() < deadline, f"not within {timeout_s} s: {what}"
+            assert time.monotonic() < deadline, f"not within {timeout_s} s: {what}; {self.summary()}"
             time.sleep(0.005)
+
+    def summary(self) -> str:
+        """The last statuses without their long figures, for failures."""
+        return str([{key: value for key, value in status.items() if len(value) < 150} for status in self.statuses[-3:]])
 
     def received(self, name: str) -> int:
         """How many messages of an input the planner has received, by its diagnostics."""

@@ -34,7 +34,7 @@ _PARAMETERS: tuple[tuple[str, Any, str], ...] = (
     ("label_field", "label", "Name of the label in PLY and PCD files."),
     ("scale", 1.0, "Metres for each unit of the file."),
     ("offset", [0.0, 0.0, 0.0], "Then move the scene by this x y z [m]."),
-    ("seed", 1, "Seed of the plant, and of the target where the file has none."),
+    ("seed", 7, "Seed of the plant, and of the target where the file has none."),
     ("density", "medium", f"Foliage of the plant: one of {', '.join(DENSITIES)}."),
     ("target", [], "Grasp pose x y z qx qy qz qw; empty: the scene's own, or a drawn one."),
     ("labelled", False, "Publish `labelled_cloud` instead of `leaf_cloud` and `stem_cloud`."),
