@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import signal
 import sys
 import threading
@@ -77,8 +78,8 @@ def read_parameters(args: argparse.Namespace) -> dict[str, Any]:
     return values
 
 
-def read_scene(args: argparse.Namespace, values: dict[str, Any], frame: str) -> Scene:
-    """Load the scene with the labels that the parameters name.
+def read_scene(args: argparse.Namespace, values: dict[str, Any]) -> Scene:
+    """Load the scene with the labels that the parameters name; its frame is empty where the file names none.
 
     Raises:
         SceneError: see `load_scene`.
@@ -97,7 +98,7 @@ def read_scene(args: argparse.Namespace, values: dict[str, Any], frame: str) -> 
         scale=args.scale,
         offset=args.offset,
         label_field=parameter("label_field"),
-        default_frame=frame,
+        default_frame="",
         leaf_labels=parameter("leaf_labels"),
         stem_labels=parameter("stem_labels"),
         fruit_label=fruit[0] if fruit else None,
@@ -111,8 +112,10 @@ def run(args: argparse.Namespace) -> int:
     settings = settings_from({name: value for name, value in values.items() if name in PARAMETERS})
     if args.picture is not None and args.picture.suffix.lower() not in (".png", ".svg", ".pdf"):
         raise ParameterError(f"--picture {args.picture}: ends in none of .png, .svg, .pdf")
+    scene = read_scene(args, values)  # before the robot, which takes seconds
     robot = _robot(settings)
-    scene = read_scene(args, values, robot.planning_frame)
+    if not scene.frame_id:
+        scene = dataclasses.replace(scene, frame_id=robot.planning_frame)
     return plan_in(scene, robot, settings, args)
 
 
@@ -209,5 +212,5 @@ def _report(result: PlanResult, scene: Scene, robot: Robot, q_start: Any, target
     trajectory = result.trajectory
     extra = [("duration of the motion [s]", [f"{trajectory.duration_s:.2f}" if trajectory is not None else "–"])]
     extra += [("iterations", [str(result.iterations)]), ("seed", [str(result.seed)])]
-    print_plans(f"{result.planner} in {args.scene}", [("plan", figures)], extra)
+    print_plans(f"{result.planner} in {args.scene.name}", [("plan", figures)], extra)
     return 0

@@ -166,7 +166,7 @@ def _drive(args: argparse.Namespace, values: Mapping[str, Any], robot: Robot, sc
         nodes.start("mock_arm_node", "lime_planner.ros.mock_arm_node", {**arm, "controller": args.controller})
         nodes.start("planner_node", "lime_planner.ros.planner_node", {**arm, "controller": args.controller, **values})
         with DemoClient(corner, robot.joint_names, nodes.check) as client:
-            client.wait(client.planner_serves, 30.0, "the planner's service and the arm's joint states")
+            client.wait(client.planner_serves, 60.0, "the planner's service and the arm's joint states")
             clock.say("all nodes are up")
             _wait_until_ready(client, nodes.check, clock)
             clock.say(f"calling {corner.namespace}/lime_planner/plan")

@@ -79,7 +79,9 @@ class Processes:
 
     def start(self, name: str, module: str, parameters: Mapping[str, Any], arguments: Sequence[str] = ()) -> None:
         """Start a node as `python -m MODULE` with ROS parameters; from the main thread."""
-        pairs = [word for key, value in parameters.items() for word in ("-p", f"{key}:={ros_value(value)}")]
+        # ROS has no way to write an empty list here; it is every list's default.
+        given = {key: value for key, value in parameters.items() if value != []}
+        pairs = [word for key, value in given.items() for word in ("-p", f"{key}:={ros_value(value)}")]
         command = [sys.executable, "-m", module, *arguments, "--ros-args", "-r", f"__ns:={self._corner.namespace}", *pairs]
         with open(self._log(name), "wb") as log:
             self._running[name] = subprocess.Popen(

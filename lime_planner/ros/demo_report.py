@@ -58,7 +58,8 @@ def report(args: argparse.Namespace, robot: Robot, scene: Scene, driven: Driven,
         ("goal error, measured [mrad]", [f"{1000.0 * error_rad:.3f}" if measured else "–", "–", "–"]),
     ]
     print()
-    print_plans(f"Reach to a target in {args.scene or 'a generated lime plant'}", [("leaves cost", figures), *comparisons], extra)
+    where = args.scene.name if args.scene else "a generated lime plant"
+    print_plans(f"Reach to a target in {where}", [("leaves cost", figures), *comparisons], extra)
     print()
     return picture
 
