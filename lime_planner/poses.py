@@ -35,6 +35,6 @@ def pose_to_matrix(pose: npt.ArrayLike) -> Array:
 
 
 def matrix_to_pose(T: npt.ArrayLike) -> Array:
-    """Turn a 4 x 4 matrix into x y z qx qy qz qw [m, -], (7,)."""
+    """Turn a 4 x 4 matrix into x y z qx qy qz qw [m, -], (7,); a stack of them (K, 4, 4) into (K, 7)."""
     matrix = np.asarray(T, dtype=np.float64)
-    return np.concatenate([matrix[:3, 3], Rotation.from_matrix(matrix[:3, :3]).as_quat()])
+    return np.concatenate([matrix[..., :3, 3], Rotation.from_matrix(matrix[..., :3, :3]).as_quat()], axis=-1)

@@ -116,9 +116,8 @@ def path_figures(obstacles: Obstacles, checker: ExactChecker, waypoints: Array, 
     contact = float((0.5 * (touching[1:] + touching[:-1]) * ds).sum())
     intensity = float((0.5 * (leaf[1:] + leaf[:-1]) * ds).sum())
     length = float(lengths[-1])
-    poses = [robot.forward(q) for q in rows]
-    places = np.array([T[:3, 3] for T in poses])
-    hops = np.linalg.norm(np.diff(places, axis=0), axis=1)
+    poses = np.array([robot.forward(q) for q in rows])
+    hops = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1)
     lowest = int(np.argmin(clear))
     clearance = float(clear[lowest])
     if clearance < 0.05 and len(obstacles.hard):
@@ -138,7 +137,7 @@ def path_figures(obstacles: Obstacles, checker: ExactChecker, waypoints: Array, 
         "tool_leaf_contact_m": float((0.5 * (touching[1:] + touching[:-1]) * hops).sum()),
         "min_stem_clearance_m": clearance,
         "waypoints": waypoints,
-        "tool_path": np.array([matrix_to_pose(poses[k]) for k in keep]),
+        "tool_path": matrix_to_pose(poses[keep]),
         "tool_leaf": leaf[keep],
     }
     if T_base_tool is not None:
