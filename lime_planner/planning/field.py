@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from lime_planner.jit import kernel
+from lime_planner.jit import hot_kernel
 from lime_planner.space import distance, repulsion
 
 Array = npt.NDArray[np.float64]
@@ -41,7 +41,7 @@ def farthest_corner(lower: Array, upper: Array, goals: Array) -> Array:
     return np.asarray(np.linalg.norm(np.maximum(goals - lower, upper - goals), axis=1))
 
 
-@kernel
+@hot_kernel
 def total_force(space: Any, field: Any, goals: Any, q: Any, force: Any) -> tuple[int, float, float]:
     """Write F_att + F_rep, the negative gradient of U_tot at q, to `force` (n,).
 
@@ -67,7 +67,7 @@ def total_force(space: Any, field: Any, goals: Any, q: Any, force: Any) -> tuple
     return goal, clearance, along / np.sqrt(length) if length > 0.0 else 0.0
 
 
-@kernel
+@hot_kernel
 def exploration_weight(field: Any, goal: int, clearance: float, f_total: float) -> Any:
     """Return λ of equation 6: 1 explores only, smaller values follow the field."""
     if clearance <= 0.0 and field.explore_inside:
@@ -75,7 +75,7 @@ def exploration_weight(field: Any, goal: int, clearance: float, f_total: float) 
     return 1.0 / (field.beta * max(0.0, f_total) / field.force_max[goal] + 1.0)
 
 
-@kernel
+@hot_kernel
 def biased_direction(space: Any, field: Any, goals: Any, q_near: Any, q_rand: Any, force: Any, direction: Any) -> bool:
     """Write the unit vector of equation 5, λ v_r + (1 - λ) v_p normalised, to `direction` (n,); False where it does not exist."""
     goal, clearance, f_total = total_force(space, field, goals, q_near, force)
@@ -102,7 +102,7 @@ def biased_direction(space: Any, field: Any, goals: Any, q_near: Any, q_rand: An
     return True
 
 
-@kernel
+@hot_kernel
 def shift_sample(space: Any, field: Any, goals: Any, q: Any, step: float, steps: int, force: Any) -> None:
     """Move a sample down the field, `steps` times by `step` along the unit force, then clip it to the sampling box (P-RRT*)."""
     n = q.shape[0]

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from lime_planner.jit import kernel
+from lime_planner.jit import hot_kernel
 from lime_planner.planning.field import biased_direction, shift_sample
 from lime_planner.planning.tree import add_node, nearest, neighbours, rewire_node
 from lime_planner.space import distance, edge, evaluate
@@ -49,13 +49,13 @@ class Scratch(NamedTuple):
     direction: npt.NDArray[np.float64]
 
 
-@kernel
+@hot_kernel
 def evaluate_one(space: Any, q: Any) -> Any:
     """Evaluate one configuration, callable from Python."""
     return evaluate(space, q)
 
 
-@kernel
+@hot_kernel
 def extend(space: Any, field: Any, rules: Any, goals: Any, q_near: Any, q_rand: Any, reach: float, scratch: Any) -> Any:
     """Write q_new to `scratch.new` (algorithm 1, line 5); False where there is no direction to go.
 
@@ -88,24 +88,26 @@ def extend(space: Any, field: Any, rules: Any, goals: Any, q_near: Any, q_rand: 
     return True
 
 
-@kernel
+@hot_kernel
 def edge_cost(space: Any, rules: Any, a: Any, b: Any, length: float, intensity_a: float, bound: float) -> Any:
     """Cost of going from node a on to b: equation 2, or the integral along the edge; inf where it is blocked or above `bound`.
 
     Equation 2 charges C_perm of the node that is left, so that the cost depends on the edge's direction.
     """
-    if rules.integral:
-        cost = edge(space, a, b, rules.weight, bound)
-        return cost if cost <= bound else np.inf
     cost = length + rules.c_perm * intensity_a
-    if cost > bound:
-        return np.inf
-    if rules.certify and edge(space, a, b, 0.0, np.inf) == np.inf:
-        return np.inf
-    return cost
+    if not rules.integral:
+        if cost > bound:
+            return np.inf
+        if not rules.certify:
+            return cost
+    # One call for both uses: each call of `edge` is compiled where it stands.
+    along = edge(space, a, b, rules.weight if rules.integral else 0.0, bound if rules.integral else np.inf)
+    if rules.integral:
+        return along if along <= bound else np.inf
+    return cost if along < np.inf else np.inf
 
 
-@kernel
+@hot_kernel
 def neighbour_radius(rules: Any, size: int, n: int) -> Any:
     """Return δ, or with a positive `rrg_gamma` max(δ, γ (ln size / size)^(1/n)), the radius of RRT* and RRG."""
     if rules.rrg_gamma > 0.0 and size > 1:
@@ -113,7 +115,7 @@ def neighbour_radius(rules: Any, size: int, n: int) -> Any:
     return rules.delta
 
 
-@kernel
+@hot_kernel
 def find_neighbours(space: Any, rules: Any, tree: Any, q_new: Any, near: int) -> int:
     """Collect the nodes around q_new in `tree.found` and return their number; q_near joins them if the rules say so."""
     radius = neighbour_radius(rules, tree.size[0], q_new.shape[0])
@@ -128,7 +130,7 @@ def find_neighbours(space: Any, rules: Any, tree: Any, q_new: Any, near: int) ->
     return count
 
 
-@kernel
+@hot_kernel
 def best_parent(space: Any, rules: Any, tree: Any, q_new: Any, count: int) -> tuple[int, float]:
     """Return the neighbour with the cheapest way to q_new and that edge's cost (line 10); -1 where every edge is blocked."""
     best, best_edge, best_cost = -1, np.inf, np.inf
@@ -155,7 +157,7 @@ def best_parent(space: Any, rules: Any, tree: Any, q_new: Any, count: int) -> tu
     return best, best_edge
 
 
-@kernel
+@hot_kernel
 def rewire(space: Any, rules: Any, tree: Any, new: int, count: int) -> None:
     """Hang the neighbours below the new node where that makes them cheaper (line 11)."""
     for k in range(count):
@@ -168,7 +170,7 @@ def rewire(space: Any, rules: Any, tree: Any, new: int, count: int) -> None:
             rewire_node(tree, j, new, cost, rules.propagate)
 
 
-@kernel
+@hot_kernel
 def grow(space: Any, field: Any, rules: Any, goals: Any, tree: Any, samples: Any, scratch: Any) -> None:
     """Run one iteration of algorithm 1 for each row of `samples` (m, n); the tree has room for m more nodes."""
     n = goals.shape[1]
@@ -194,7 +196,7 @@ def grow(space: Any, field: Any, rules: Any, goals: Any, tree: Any, samples: Any
         rewire(space, rules, tree, new, count)
 
 
-@kernel
+@hot_kernel
 def best_goal(space: Any, rules: Any, goals: Any, tree: Any) -> tuple[int, int, float]:
     """Return node, goal and stored cost of the cheapest way from a node within the goal radius to a goal; node -1: none."""
     best, best_index, best_cost = -1, -1, np.inf
@@ -210,7 +212,7 @@ def best_goal(space: Any, rules: Any, goals: Any, tree: Any) -> tuple[int, int, 
     return best, best_index, best_cost
 
 
-@kernel
+@hot_kernel
 def measure(space: Any, path: Any, weight: float) -> tuple[float, float, int, float]:
     """Return a path's length, the sum of its nodes' leaf intensities, the number of nodes in leaves, and its integral cost J."""
     length, intensities, inside, integral = 0.0, 0.0, 0, 0.0

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from lime_planner.jit import kernel, overload
+from lime_planner.jit import hot_kernel, overload
 from lime_planner.space import N_EDGE_STATES, N_EDGES, N_STATES, edge, evaluate, is_space, repulsion
 
 PERMEABLE, IMPERMEABLE = 0, 1
@@ -42,7 +42,7 @@ class PlaneSpace(NamedTuple):
     scratch: npt.NDArray[np.float64]
 
 
-@kernel
+@hot_kernel
 def _inside(vertices: Any, first: int, last: int, x: float, y: float) -> bool:
     """Tell whether (x, y) lies strictly inside the polygon with the corners first to last - 1 (crossing number)."""
     inside = False
@@ -62,7 +62,7 @@ def _inside(vertices: Any, first: int, last: int, x: float, y: float) -> bool:
     return inside
 
 
-@kernel
+@hot_kernel
 def inside_kind(space: Any, kind: int, x: float, y: float) -> bool:
     """Tell whether (x, y) lies strictly inside any polygon of one kind."""
     for p in range(space.kinds.shape[0]):
@@ -74,7 +74,7 @@ def inside_kind(space: Any, kind: int, x: float, y: float) -> bool:
     return False
 
 
-@kernel
+@hot_kernel
 def _cuts(space: Any, a: Any, b: Any) -> int:
     """Write the fractions of a → b at which it meets an outline to `space.scratch`, sorted, with 0 and 1, and return their number."""
     ax, ay = a[0], a[1]
@@ -82,6 +82,8 @@ def _cuts(space: Any, a: Any, b: Any) -> int:
     squared = dx * dx + dy * dy
     low_x, high_x = min(ax, b[0]), max(ax, b[0])
     low_y, high_y = min(ay, b[1]), max(ay, b[1])
+    # A cut too many is harmless (each piece is tested by itself), one too few is not: touching counts, within rounding.
+    touch = 1e-12 * (squared + np.sqrt(squared))
     cuts = space.scratch
     cuts[0] = 0.0
     count = 1
@@ -95,12 +97,11 @@ def _cuts(space: Any, a: Any, b: Any) -> int:
         for i in range(first, last):
             x1, y1 = space.vertices[i, 0] - ax, space.vertices[i, 1] - ay
             side1 = dx * y1 - dy * x1
-            # A cut too many is harmless (each piece is tested by itself), one too few is not: touching counts, and both
-            # sides that share a corner use the same number for it.
-            if (side0 <= 0.0 <= side1) or (side1 <= 0.0 <= side0):
+            if min(side0, side1) <= touch and max(side0, side1) >= -touch:
                 t0 = (dx * x0 + dy * y0) / squared
                 t1 = (dx * x1 + dy * y1) / squared
-                t = t1 if side0 == side1 else t0 + (t1 - t0) * side0 / (side0 - side1)
+                along = abs(side0) <= touch and abs(side1) <= touch
+                t = t1 if along else t0 + (t1 - t0) * side0 / (side0 - side1)
                 if 0.0 < t < 1.0:
                     position = count  # insertion sort: a handful of cuts
                     while cuts[position - 1] > t:
@@ -159,7 +160,7 @@ def _edge(space: Any, a: Any, b: Any, weight: Any, bound: Any) -> Any:
     return implementation
 
 
-@kernel
+@hot_kernel
 def _nearest_boundary(space: Any, kind: int, x: float, y: float) -> tuple[float, float, float]:
     """Return the distance to the nearest outline of one kind and that outline's nearest point."""
     best, best_x, best_y = np.inf, x, y

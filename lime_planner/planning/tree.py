@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from lime_planner.jit import kernel, overload
+from lime_planner.jit import hot_kernel, overload
 from lime_planner.space import distance
 
 _BLOCK = 256  # nodes whose distances are computed together, in vector instructions
@@ -101,7 +101,7 @@ def trace(tree: Tree, node: int) -> npt.NDArray[np.float64]:
     return np.array(tree.rows[nodes[::-1]])
 
 
-@kernel
+@hot_kernel
 def link(tree: Any, node: int, parent: int) -> None:
     """Put a node into the list of its parent's children."""
     tree.parent[node] = parent
@@ -113,7 +113,7 @@ def link(tree: Any, node: int, parent: int) -> None:
     tree.first_child[parent] = node
 
 
-@kernel
+@hot_kernel
 def unlink(tree: Any, node: int) -> None:
     """Take a node out of the list of its parent's children."""
     before, after = tree.previous_sibling[node], tree.next_sibling[node]
@@ -125,7 +125,7 @@ def unlink(tree: Any, node: int) -> None:
         tree.previous_sibling[after] = before
 
 
-@kernel
+@hot_kernel
 def add_node(tree: Any, q: Any, intensity: float, parent: int, edge_cost: float) -> Any:
     """Append a node below `parent` (-1 for the start) and return its number; the caller has made room."""
     node = tree.size[0]
@@ -141,7 +141,7 @@ def add_node(tree: Any, q: Any, intensity: float, parent: int, edge_cost: float)
     return node
 
 
-@kernel
+@hot_kernel
 def rewire_node(tree: Any, node: int, parent: int, edge_cost: float, propagate: bool) -> None:
     """Hang a node below another parent, and hand its new cost on to all descendants if `propagate`."""
     unlink(tree, node)
@@ -163,7 +163,7 @@ def rewire_node(tree: Any, node: int, parent: int, edge_cost: float, propagate: 
         current = tree.next_sibling[current]
 
 
-@kernel
+@hot_kernel
 def _squared_block(tree: Any, q: Any, first: int, count: int) -> None:
     """Write the squared Euclidean distances of nodes first to first + count - 1 to `tree.squared`."""
     squared = tree.squared
@@ -175,7 +175,7 @@ def _squared_block(tree: Any, q: Any, first: int, count: int) -> None:
             squared[j] = gap * gap if i == 0 else squared[j] + gap * gap
 
 
-@kernel
+@hot_kernel
 def _block_minimum(squared: Any, count: int) -> float:
     """Smallest of the first `count` numbers, in four lanes: one comparison after another would wait for each other."""
     low0, low1, low2, low3 = np.inf, np.inf, np.inf, np.inf
