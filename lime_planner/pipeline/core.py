@@ -17,6 +17,7 @@ from lime_planner.pipeline.obstacles import Obstacles, prepare
 from lime_planner.pipeline.result import PlanResult
 from lime_planner.pipeline.search import Found, search
 from lime_planner.pipeline.steps import Clock, Stopped, ask, checked_start, checked_target, never
+from lime_planner.planning.lime_star import warm_up as warm_up_search
 from lime_planner.robot.exact import ExactChecker
 from lime_planner.robot.model import Robot, home
 from lime_planner.robot.shapes import Shapes, build_shapes
@@ -76,8 +77,10 @@ class Pipeline:
                 {"planner": planner, "iterations": iterations, "ik_starts": 10, "leaf_speed_scale": 0.9, "floor_z_m": -5.0}
             )
             self.plan(scene, T, q, settings, seed=1)
-        # What a plan near stems asks besides.
-        checker = self.obstacles(scene, T[:3, 3], settings).exact_checker()
+        # What plans that are less easy than these ask besides.
+        obstacles = self.obstacles(scene, T[:3, 3], settings)
+        warm_up_search(obstacles.space(q - 1.0, q + 1.0))
+        checker = obstacles.exact_checker()
         checker.stem_distance(q)
         checker.leaf_contact(q)
         self._kept = None

@@ -11,7 +11,8 @@ import numpy.typing as npt
 from lime_planner.parameters import Settings
 from lime_planner.pipeline.goals import Goals, sampling_box
 from lime_planner.pipeline.obstacles import Obstacles
-from lime_planner.planning.lime_star import LimeOptions, plan_lime
+from lime_planner.planning.lime_options import LimeOptions
+from lime_planner.planning.lime_star import plan_lime
 from lime_planner.planning.paper import PaperOptions, plan_paper
 from lime_planner.status import Status
 

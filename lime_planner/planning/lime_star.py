@@ -17,7 +17,6 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -28,58 +27,16 @@ from lime_planner.jit import kernel
 from lime_planner.planning import connect as trees
 from lime_planner.planning import polish as local
 from lime_planner.planning import roadmap as graph
+from lime_planner.planning.lime_options import LimeOptions, LimeOutcome
 from lime_planner.planning.random import below, normal, random_state, uniform
 from lime_planner.space import distance, edge, evaluate
 from lime_planner.status import Status
 
+__all__ = ["LimeOptions", "LimeOutcome", "plan_lime", "warm_up"]
+
 Array = npt.NDArray[np.float64]
 
 _SLICE_S = 0.004
-
-
-@dataclass(frozen=True)
-class LimeOptions:
-    """Settings of the default planner.
-
-    Attributes:
-        weight: cost of one unit of length at leaf intensity 1 [1/rad].
-        tracks: paths that are polished side by side.
-        batch: roadmap samples between two searches of it.
-        polish_per_batch: polishing trials for each roadmap sample.
-        connect_samples: random configurations for one attempt to reach one goal.
-        least_step, most_step: range of the random moves, as shares of the sampling box's diagonal.
-    """
-
-    weight: float = 1000.0
-    tracks: int = 6
-    batch: int = 50
-    polish_per_batch: float = 3.0
-    connect_samples: int = 150
-    least_step: float = 0.003
-    most_step: float = 0.1
-
-
-@dataclass(frozen=True)
-class LimeOutcome:
-    """What a run gave.
-
-    Attributes:
-        path: (M, n) start to goal, None if none was found; cost: its J.
-        status: SUCCEEDED, or NO_PATH, TIMED_OUT, CANCELLED (also with a path), START_INVALID, GOAL_IN_STEM.
-        iterations: configurations sampled, by whatever part.
-        states_checked, edges_checked: work done.
-        first_path_s: time until the first path [s], NaN without.
-        history: (K, 3) time [s], iterations and cost at each improvement.
-    """
-
-    path: Array | None = field(repr=False)
-    cost: float
-    status: Status
-    iterations: int
-    states_checked: int
-    edges_checked: int
-    first_path_s: float
-    history: Array = field(repr=False)
 
 
 @kernel
@@ -237,6 +194,15 @@ def plan_lime(
     return _outcome(run, status, before)
 
 
+def warm_up(space: Any) -> None:
+    """Compile what an easy problem passes by: where a straight line reaches the goal no tree grows."""
+    middle = 0.5 * (np.asarray(space.lower) + np.asarray(space.upper))
+    run = _Run(space, middle, middle[None], LimeOptions(), 1)
+    trees.plant(run.from_start, middle)
+    trees.plant(run.from_goal, middle)
+    trees.connect(run.leafless, run.from_start, run.from_goal, 0, run.stride, run.random, run.trial, run.path)
+
+
 def _search(
     run: _Run, goal_leaf: Array, iterations: int | None, should_stop: Callable[[], bool] | None, deadline_s: float | None
 ) -> Status:
@@ -289,12 +255,22 @@ def _first_paths(run: _Run, over: Callable[[], bool], left: Callable[[int], int]
             continue
         t = run.adopt(count, math.inf)
         if t >= 0 and not over():
-            _polish(run, t, left(40))
+            _polish(run, t, left(40), over)
 
 
-def _polish(run: _Run, t: int, trials: int) -> None:
-    local.polish(run.space, run.tracks, t, trials, run.options.weight, run.least, run.most, run.random)
-    run.iterations += trials
+def _polish(run: _Run, t: int, trials: int, over: Callable[[], bool]) -> None:
+    """Polish a track in slices short enough to be stopped between them: one trial may take 10 ms among leaves, or 10 µs."""
+    done, slice_ = 0, 4
+    while done < trials:
+        size = min(slice_, trials - done)
+        began = time.monotonic()
+        local.polish(run.space, run.tracks, t, size, run.options.weight, run.least, run.most, run.random)
+        run.iterations += size
+        done += size
+        share = _SLICE_S / max(time.monotonic() - began, 1e-6)
+        slice_ = int(min(max(size * share, 1.0), 4.0 * size))
+        if done < trials and over():
+            break
     run.keep(t)
 
 
@@ -324,7 +300,7 @@ def _round(run: _Run, over: Callable[[], bool], left: Callable[[int], int]) -> N
     for place, t in enumerate(alive):
         if over():
             return
-        _polish(run, int(t), left(max(5, int(trials / 2 ** (place + 1)))))
+        _polish(run, int(t), left(max(5, int(trials / 2 ** (place + 1)))), over)
 
 
 def _outcome(run: _Run, status: Status, before: npt.NDArray[np.int64]) -> LimeOutcome:
