@@ -257,6 +257,8 @@ def build_fields(
     else:
         low, high = np.zeros(3), np.full(3, spacing_m)
     spacing_m = max(spacing_m, float((np.prod(high - low) / _MAX_NODES) ** (1 / 3)))
+    while np.prod(np.ceil((high - low) / spacing_m) + 2.0) > _MAX_NODES:  # an extent far longer than the others has many border nodes
+        spacing_m *= 1.05
     shape = np.ceil((high - low) / spacing_m).astype(np.int64) + 2
     values = np.full((*shape, 2), EMPTY_DISTANCE_M, np.float32)
     for channel, points in ((STEM, stems), (LEAF, leaves)):
@@ -331,9 +333,10 @@ def lower_bound(distance: Any, spacing_m: Any) -> Any:
 
     The distance to a point set is the minimum of convex functions, so linear interpolation overstates it: by at most h²/(4 d) at a
     true distance d well above the spacing h (second derivatives 1/d in two directions), and by the half diagonal of a cell near 0.
+    For interpolated distances from 1.5 h on, the largest product of error and distance over all places in a cell is 0.3054 h².
     """
     if distance > 1.5 * spacing_m:
-        return distance - 0.29 * spacing_m * spacing_m / distance
+        return distance - 0.306 * spacing_m * spacing_m / distance
     if distance > spacing_m:
         return distance - 0.5 * spacing_m
     return max(0.0, distance - 0.867 * spacing_m)
