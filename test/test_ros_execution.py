@@ -33,6 +33,7 @@ class Rig:
         self.subscribers = 1
         self.execution = Execution(
             self.joints,
+            lambda trajectory: trajectory,
             self.sent.append,
             lambda: self.subscribers,
             lambda motion, q, on_path: make_stop(FakeRobot(), motion, q, on_path),
@@ -164,12 +165,14 @@ def test_stopping_short_of_the_end_is_a_deviation(rig: Rig) -> None:
 
 
 def test_silence_stops_the_motion(rig: Rig) -> None:
-    motion = rig.send(1.0, max_joint_state_age_s=0.15)
+    motion = rig.send(2.0, max_joint_state_age_s=0.15)
     assert motion is not None
     rig.play(motion.trajectory.sample, 0.2)
-    for _ in range(40):
+    silent_from = time.monotonic()
+    while not rig.stopped and time.monotonic() < silent_from + 2.0:
         rig.execution.tick()
         time.sleep(0.005)
+    assert 0.45 < time.monotonic() - silent_from < 1.0
     assert rig.stopped == [motion]
     rig.rest(rig.sent[1].positions[-1], 0.15)
     assert rig.ended[0].status is Status.STALE_INPUT

@@ -36,29 +36,31 @@ class ArmSurface:
             vertices = np.concatenate([link.vertices for link in links])
             self._bodies.append((joint, scene, vertices.min(axis=0), vertices.max(axis=0)))
 
-    def distance(self, points: npt.ArrayLike, q: npt.ArrayLike) -> Array:
-        """Return each point's distance from the nearest surface of the arm [m], negative inside, at most `FAR_M`.
+    def distance(self, points: npt.ArrayLike, q: npt.ArrayLike, *, within_m: float = FAR_M) -> Array:
+        """Return each point's distance from the nearest surface of the arm [m], negative inside, at most `within_m`.
 
         Args:
             points: (N, 3) [m], in the planning frame.
             q: configuration, (n,) [rad].
+            within_m: farther points are reported as this far; the less, the quicker.
         """
-        cloud = np.asarray(points, dtype=np.float64).reshape(-1, 3)
-        distances = np.full(len(cloud), FAR_M)
+        cloud = np.asarray(points, dtype=np.float32).reshape(-1, 3)
+        distances = np.full(len(cloud), within_m)
         poses = self._robot.link_poses(q)
         for joint, scene, low, high in self._bodies:
             rotation, translation = poses[joint, :3, :3], poses[joint, :3, 3]
             # A ball around the body first: most of a plant is far from most of the arm.
-            middle, radius = 0.5 * (low + high), 0.5 * float(np.linalg.norm(high - low)) + FAR_M
-            offset = cloud - (rotation @ middle + translation)
+            middle, radius = 0.5 * (low + high), 0.5 * float(np.linalg.norm(high - low)) + within_m
+            offset = cloud - (rotation @ middle + translation).astype(np.float32)
             near = np.flatnonzero(np.einsum("ij,ij->i", offset, offset) <= radius**2)
             local = ((cloud[near] - translation) @ rotation).astype(np.float32)
-            boxed = np.flatnonzero(((local >= low - FAR_M) & (local <= high + FAR_M)).all(axis=1))
-            if not len(boxed):
+            boxed = ((local >= low - within_m) & (local <= high + within_m)).all(axis=1)
+            index, queried = near[boxed], local[boxed]
+            if not len(index):
                 continue
-            queried = local[boxed]
             found = scene.compute_distance(queried).numpy().astype(np.float64)
-            inside = scene.compute_occupancy(queried, nsamples=3).numpy() > 0.5
-            index = near[boxed]
+            inside = np.asarray(((queried > low) & (queried < high)).all(axis=1))  # who is outside the box is outside the body
+            if inside.any():
+                inside[inside] = scene.compute_occupancy(queried[inside], nsamples=3).numpy() > 0.5
             distances[index] = np.minimum(distances[index], np.where(inside, -found, found))
         return distances

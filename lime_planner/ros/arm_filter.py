@@ -1,4 +1,4 @@
-"""Removes the arm from live clouds, where it stood when the cloud was taken."""
+"""Makes a live cloud fit to plan with: cropped and thinned, and without the arm where it stood when the cloud was taken."""
 
 from __future__ import annotations
 
@@ -11,20 +11,22 @@ import numpy.typing as npt
 from lime_planner.robot.model import Robot
 from lime_planner.robot.surface import ArmSurface
 from lime_planner.ros.scene_source import ArmFilter
-from lime_planner.scene.clean import remove_arm
+from lime_planner.scene.clean import clean_scene, remove_arm
 from lime_planner.scene.scene import Scene
+
+_BEYOND_REACH_M = 0.1  #: what the arm's surface and the margins may reach beyond its reach
+_SLACK_M = 0.001
 
 
 def make_arm_filter(robot: Robot) -> ArmFilter:
-    """Return the filter for one arm; its meshes are prepared with the first cloud."""
-    surfaces: list[ArmSurface] = []
+    """Return the filter for one arm."""
+    surface = ArmSurface(robot)
 
     def remove(scene: Scene, q: npt.NDArray[np.float64] | None, padding_m: float) -> Scene:
+        scene = clean_scene(scene, reach_m=robot.reach_m + _BEYOND_REACH_M)
         if q is None:
             # Taken before the first joint state: where the arm was is unknown. Its points stay, as obstacles.
             return dataclasses.replace(scene, counts={**scene.counts, "arm_not_removed": scene.n_points})
-        if not surfaces:
-            surfaces.append(ArmSurface(robot))
-        return remove_arm(scene, partial(surfaces[0].distance, q=q), padding_m)
+        return remove_arm(scene, partial(surface.distance, q=q, within_m=padding_m + _SLACK_M), padding_m)
 
     return remove

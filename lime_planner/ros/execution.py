@@ -23,8 +23,9 @@ from lime_planner.status import Status
 
 Array = npt.NDArray[np.float64]
 
-#: Silence that stops a motion where the joint states' age is not limited by a parameter [s].
-SILENCE_S = 1.0
+#: Joint states must be silent for at least this long to stop a motion, whatever age a plan may start from [s]: a machine under
+#: load holds them up for some tenths of a second, and the motion that was checked does not become wrong by that.
+SILENCE_S = 0.5
 
 
 @dataclass(frozen=True)
@@ -77,7 +78,8 @@ class Execution:
     def __init__(
         self,
         joints: JointHistory,
-        publish: Callable[[Trajectory], None],
+        prepare: Callable[[Trajectory], Any],
+        publish: Callable[[Any], None],
         subscribers: Callable[[], int],
         make_stop: StopMaker,
         on_stop: Callable[[Motion], None],
@@ -87,13 +89,15 @@ class Execution:
 
         Args:
             joints: the measured states.
-            publish: puts a trajectory on the wire.
+            prepare: makes a message of a trajectory.
+            publish: puts it on the wire.
             subscribers: how many listen to the motion command.
             make_stop: the controller's way of stopping.
             on_stop: is told about each motion that is being stopped.
             on_end: is told about each motion's end, once, from whichever thread notices.
         """
         self._joints = joints
+        self._prepare = prepare
         self._publish = publish
         self._subscribers = subscribers
         self._make_stop = make_stop
@@ -149,6 +153,7 @@ class Execution:
             Refusal: MOTION_DISABLED, ARM_MOVING, STALE_INPUT and its kin, NO_CONTROLLER.
         """
         node = snapshot.node
+        message = self._prepare(trajectory)  # outside the lock: a stop must not wait for it
         with self._lock:
             if not node.motion_enabled:
                 raise Refusal(Status.MOTION_DISABLED, "planned and published, but not sent, because motion_enabled is false")
@@ -160,7 +165,7 @@ class Execution:
                 raise Refusal(Status.NO_CONTROLLER, "nobody subscribes to joint_trajectory")
             if not commit():
                 return None
-            self._publish(trajectory)
+            self._publish(message)
             self._motion = self._last = Motion(plan_id, result, trajectory, time.monotonic(), snapshot, **more)
             return self._motion
 
@@ -187,7 +192,7 @@ class Execution:
             state = self._joints.newest
             command = self._make_stop(motion, None if state is None else state.q, status is not Status.EXECUTION_DEVIATED)
             if command is not None:
-                self._publish(command)
+                self._publish(self._prepare(command))
             self._motion = None
             self._stopping = (motion, status, sentence, time.monotonic())
         self._on_stop(motion)
@@ -204,7 +209,7 @@ class Execution:
                 return False
             command = self._make_stop(None, state.q, False)
             if command is not None:
-                self._publish(command)
+                self._publish(self._prepare(command))
             return command is not None
 
     def on_state(self, state: ArmState) -> None:
@@ -249,7 +254,7 @@ class Execution:
     def _look_at(self, motion: Motion) -> Ended | None:
         node = motion.snapshot.node
         state = self._joints.newest
-        limit_s = node.max_joint_state_age_s or SILENCE_S
+        limit_s = max(node.max_joint_state_age_s, SILENCE_S)
         silent_s = motion.elapsed_s() if state is None else min(state.age_s(time.monotonic()), motion.elapsed_s() + limit_s)
         if silent_s > limit_s:
             sentence = f"the joint states fell silent for {silent_s:.2f} s during the motion, the limit is {limit_s:g} s"

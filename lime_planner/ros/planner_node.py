@@ -6,6 +6,7 @@ the stem watch's. Services are coroutines: they hand a request to the worker and
 
 from __future__ import annotations
 
+import os
 import sys
 import traceback
 from collections.abc import Callable
@@ -17,6 +18,8 @@ from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Path
+from rclpy.clock import Clock, ClockType
+from rclpy.duration import Duration
 from rclpy.node import Node
 from sensor_msgs.msg import JointState, PointCloud2
 from std_msgs.msg import String
@@ -65,6 +68,7 @@ class PlannerNode(Node):
             ParameterError: a parameter given at start is not allowed.
         """
         super().__init__("lime_planner")
+        self.threads_ended = False
         self.params = NodeParameters(self)
         settings = self.params.snapshot
         self._warn = Throttle(self.get_logger().warning, _WARNING_PERIOD_S)
@@ -75,7 +79,8 @@ class PlannerNode(Node):
         self.board = Board(self.get_name(), self._now, self._status.publish)
         self.execution = Execution(
             self.inputs.joints,
-            self._send_trajectory,
+            to_joint_trajectory,
+            self._command.publish,
             self._command.get_subscription_count,
             lambda motion, q, on_path: make_stop(self._robot(), motion, q, on_path),
             lambda motion: self.board.show(motion.plan_id, Phase.STOPPING),
@@ -95,18 +100,19 @@ class PlannerNode(Node):
         self.watch = StemWatch(self.execution, make_look(lambda: self.source, lambda: self.engine.loaded), self._warn)
         self._open_inputs(settings.plan.robot)
         self.desk = Services(self, self.worker, self.requests, self.execution, self.board, self._robot, self._log)
-        self.create_timer(_WATCH_PERIOD_S, self._safely(self.execution.tick))
-        self.create_timer(_OFFERS_PERIOD_S, self._safely(self._check_offers))
-        self.create_timer(1.0, self._safely(self._publish_health))
+        steady = Clock(clock_type=ClockType.STEADY_TIME)  # the watch goes on where simulated time stands still
+        self.create_timer(_WATCH_PERIOD_S, self._safely(self.execution.tick), clock=steady)
+        self.create_timer(_OFFERS_PERIOD_S, self._safely(self._check_offers), clock=steady)
+        self.create_timer(1.0, self._safely(self._publish_health), clock=steady)
         motion = "enabled" if settings.node.motion_enabled else "disabled"
         self.get_logger().info(f"serving; motion is {motion}, robot {settings.plan.robot}")
 
     def shut_down(self) -> None:
         """Stop a motion, answer everyone and end the threads."""
-        self.execution.stop(Status.CANCELLED, "the planner node shuts down")
-        self.worker.close()
-        self.watch.close()
-        self.engine.close(0.5)
+        if self.execution.stop(Status.CANCELLED, "the planner node shuts down"):
+            self._command.wait_for_all_acked(Duration(seconds=0.2))
+        ended = [self.worker.close(), self.watch.close(), self.engine.close(0.5)]
+        self.threads_ended = all(ended)
 
     def _open_outputs(self) -> None:
         self._command = self.create_publisher(JointTrajectory, "joint_trajectory", qos.COMMAND)
@@ -168,9 +174,6 @@ class PlannerNode(Node):
         if self._markers.get_subscription_count() > 0:
             self._markers.publish(markers(shown.scene, shown.T_base_tool, shown.result, shown.snapshot.plan, stamp))
 
-    def _send_trajectory(self, trajectory: Any) -> None:
-        self._command.publish(to_joint_trajectory(trajectory))
-
     def _check_offers(self) -> None:
         for subscription in self._subscriptions_by_offer:
             subscription.check()
@@ -222,15 +225,24 @@ def main() -> int:
     """Run the node until a signal; the program `planner_node`."""
     sys.setswitchinterval(_SWITCH_INTERVAL_S)
 
+    nodes: list[PlannerNode] = []
+
     def factory() -> PlannerNode:
         try:
-            return PlannerNode()
+            nodes.append(PlannerNode())
+            return nodes[0]
         except LimePlannerError as error:
             rclpy.try_shutdown()
             print(f"planner_node: {error}", file=sys.stderr)
             raise SystemExit(2) from None
 
-    return run_node(factory)
+    code = run_node(factory)
+    if nodes and not nodes[0].threads_ended:
+        # A compilation cannot be interrupted, and the interpreter must not be taken down under it.
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(code)
+    return code
 
 
 if __name__ == "__main__":
