@@ -29,6 +29,7 @@ ORDER = (
 RANK = {name: rank for rank, names in enumerate(ORDER) for name in names}
 
 
+@cache
 def modules() -> dict[str, Path]:
     """Every module of the package by its dotted name."""
     found = {}
@@ -69,8 +70,8 @@ def imported(path: Path, *, lazy: bool) -> set[str]:
             if node.level:
                 package = list(path.relative_to(ROOT).parts[:-1])
                 base = ".".join([*package[: len(package) - node.level + 1], *([base] if base else [])])
-            names.add(base)
-            names.update(f"{base}.{alias.name}" for alias in node.names)
+            # `from package import module` needs the module; any other name is the package's own.
+            names.update(f"{base}.{alias.name}" if f"{base}.{alias.name}" in modules() else base for alias in node.names)
         for child in ast.iter_child_nodes(node):
             walk(child)
 
