@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import os
 import signal
 import subprocess
@@ -49,13 +50,24 @@ def environment(domain: int, **more: str) -> dict[str, str]:
     return {**os.environ, **own, **more}
 
 
+def _die_with_parent() -> None:
+    """Have the kernel end the program when the tests are killed."""
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(1, signal.SIGTERM)  # PR_SET_PDEATHSIG
+
+
 class Program:
     """One of the executables in a process of its own."""
 
     def __init__(self, arguments: Sequence[str], domain: int, **more: str) -> None:
         self.lines: list[str] = []
         self.process = subprocess.Popen(
-            [sys.executable, *arguments], env=environment(domain, **more), stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+            [sys.executable, *arguments],
+            env=environment(domain, **more),
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            preexec_fn=_die_with_parent,
         )
         self._reader = threading.Thread(target=self._read, daemon=True)
         self._reader.start()
