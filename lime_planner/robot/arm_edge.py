@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lime_planner.jit import hot_kernel
-from lime_planner.robot.collision import LEAF, NEED, SELF, ZONE
+from lime_planner.robot.collision import LEAF, NEED, ZONE
 from lime_planner.robot.engine import call_check
 
 Array = npt.NDArray[np.float64]
@@ -25,19 +25,21 @@ class EdgeMemory(NamedTuple):
     """Memory for one edge: the states sampled along it and the intervals still open.
 
     Attributes:
-        clear, leaf_clear: (S, B), misc: (S, 4), as in `State`, of sample s; at: (S,) where it lies on the edge, 0 to 1.
+        clear, leaf_clear: (S, B), own: (S, P), misc: (S, 4), as in `State`, of sample s; at: (S,) where it lies on the edge, 0 to 1.
         left, right: (S,) int32, the open intervals' samples.
-        motion: (B + 1,) how far each body can move along the whole edge, and relative to each other [m].
+        motion: (B,) how far each body can move along the whole edge, relative: (P,) and one body of each pair past the other [m].
         q: (n,) a configuration.
     """
 
     clear: Array
     leaf_clear: Array
+    own: Array
     misc: Array
     at: Array
     left: npt.NDArray[np.int32]
     right: npt.NDArray[np.int32]
     motion: Array
+    relative: Array
     q: Array
 
 
@@ -65,6 +67,8 @@ def _store(space: Any, s: Any, t: Any) -> Any:
     for b in range(space.state.clear.shape[0]):  # element by element: assigning a row would allocate
         memory.clear[s, b] = space.state.clear[b]
         memory.leaf_clear[s, b] = space.state.leaf_clear[b]
+    for p in range(space.state.own.shape[0]):
+        memory.own[s, p] = space.state.own[p]
     for k in range(space.state.misc.shape[0]):
         memory.misc[s, k] = space.state.misc[k]
 
@@ -89,9 +93,10 @@ def _open_interval(space: Any, a: Any, b: Any, length: Any, bodies: Any) -> Any:
             return -1.0
         if memory.leaf_clear[a, body] + memory.leaf_clear[b, body] < motion:
             leafless = False
-    relative = memory.motion[bodies] * share
-    if memory.misc[a, SELF] + memory.misc[b, SELF] < relative and relative > _SELF_STEP_M:
-        return -1.0
+    for p in range(memory.relative.shape[0]):
+        motion = memory.relative[p] * share
+        if memory.own[a, p] + memory.own[b, p] < motion and motion > _SELF_STEP_M:
+            return -1.0
     if space.zoned:
         zone_a = memory.misc[a, ZONE]
         zone_b = memory.misc[b, ZONE]
@@ -101,7 +106,7 @@ def _open_interval(space: Any, a: Any, b: Any, length: Any, bodies: Any) -> Any:
     leaf_b = memory.misc[b, LEAF]
     part = length * share
     if leaf_a == 0.0 and leaf_b == 0.0:
-        if leafless or part <= 2.0 * SMALL_LEAF_STEP_RAD:
+        if leafless or part <= BIG_LEAF_STEP_RAD:
             return 0.0
         return -1.0
     if leaf_a > 0.0 and leaf_b > 0.0:
@@ -128,15 +133,16 @@ def arm_edge(space: Any, a: Array, b: Array, weight: float, bound: float) -> Any
     length = math.sqrt(total)
     if length > bound:
         return length
-    relative = 0.0
     for body in range(bodies):
         motion = 0.0
         for i in range(n):
             motion += abs(b[i] - a[i]) * lever[i, body]
         memory.motion[body] = motion
-    for i in range(1, n):  # joint 1 moves everything but the base alike
-        relative += abs(b[i] - a[i]) * lever[i, bodies - 1]
-    memory.motion[bodies] = relative + abs(b[0] - a[0]) * lever[0, bodies - 1]
+    for p in range(memory.relative.shape[0]):
+        motion = 0.0
+        for i in range(space.pairs[p, 0], space.pairs[p, 1]):  # only the joints between the two
+            motion += abs(b[i] - a[i]) * lever[i, space.pairs[p, 1]]
+        memory.relative[p] = motion
     for s in range(2):
         q = a if s == 0 else b
         counters[2] += 1
@@ -170,11 +176,16 @@ def arm_edge(space: Any, a: Array, b: Array, weight: float, bound: float) -> Any
         if not arm_check(space, memory.q):
             return np.inf
         _store(space, samples, t)
-        memory.left[tail % MAX_EDGE_STATES] = left
-        memory.right[tail % MAX_EDGE_STATES] = samples
-        tail += 1
-        memory.left[tail % MAX_EDGE_STATES] = samples
-        memory.right[tail % MAX_EDGE_STATES] = right
-        tail += 1
+        for half in range(2):
+            first = left if half == 0 else samples
+            last = samples if half == 0 else right
+            if memory.misc[first, LEAF] > 0.0 and memory.misc[last, LEAF] > 0.0:
+                head -= 1  # among leaves: at once, so that a bound on the cost ends the work soon
+                at = head % MAX_EDGE_STATES
+            else:
+                at = tail % MAX_EDGE_STATES
+                tail += 1
+            memory.left[at] = first
+            memory.right[at] = last
         samples += 1
     return length + weight * leaf

@@ -28,6 +28,7 @@ class ArmSpace(NamedTuple):
         engine: (3,) addresses, see `lime_planner.robot.engine`.
         state, q, force, memory: this thread's memory.
         lever: (n, B) how far a body moves at most for each radian of a joint [m/rad].
+        pairs: (P, 2) bodies that can touch each other.
         zoned: whether there is an approach zone.
         own_leaves: False where leaves do not matter (their weight is zero).
     """
@@ -41,6 +42,7 @@ class ArmSpace(NamedTuple):
     force: Array
     memory: EdgeMemory
     lever: Array
+    pairs: npt.NDArray[np.int64]
     zoned: bool
     own_leaves: bool
 
@@ -58,14 +60,16 @@ def make_arm_space(lower: Array, upper: Array, chain: Chain, shapes: Shapes, wor
     memory = EdgeMemory(
         np.zeros((MAX_EDGE_STATES, bodies)),
         np.zeros((MAX_EDGE_STATES, bodies)),
+        np.zeros((MAX_EDGE_STATES, len(shapes.pairs))),
         np.zeros((MAX_EDGE_STATES, 4)),
         np.zeros(MAX_EDGE_STATES),
         np.zeros(MAX_EDGE_STATES, np.int32),
         np.zeros(MAX_EDGE_STATES, np.int32),
-        np.zeros(bodies + 1),
+        np.zeros(bodies),
+        np.zeros(len(shapes.pairs)),
         np.zeros(len(lower)),
     )
-    state = make_state(bodies)
+    state = make_state(shapes)
     scratch = make_scratch(shapes, world.fields)
     return ArmSpace(
         np.ascontiguousarray(lower, dtype=np.float64),
@@ -77,6 +81,7 @@ def make_arm_space(lower: Array, upper: Array, chain: Chain, shapes: Shapes, wor
         scratch.force,
         memory,
         np.ascontiguousarray(shapes.lever),
+        np.ascontiguousarray(shapes.pairs),
         bool(world.exclusion[3] > 0.0),
         bool(leaves),
     )

@@ -24,6 +24,7 @@ from lime_planner.scene.fields import Fields, lower_bound, sample
 Array = npt.NDArray[np.float64]
 
 REFINE_M = 0.002  # clearances are exact up to this much above the required one, lower bounds beyond
+DESCEND_M = 0.025  # coarse spheres clearer than this are not looked into: what they overstate would shorten the steps along edges
 FAR_M = 0.1  # a body whose bounding sphere is this clear is not looked at more closely
 GRADED_CELL_M = 0.01  # graded leaf cost: the points of one cell of this edge stand for one patch of leaf ...
 GRADED_UNIT = 20.0  # ... and this many touched patches, about one leaf, cost as much as a binary contact
@@ -56,12 +57,14 @@ class State(NamedTuple):
     Attributes:
         clear: (B,) clearance of each body to everything hard but the arm itself, exact near the requirement, else a lower bound [m].
         leaf_clear: (B,) the same for leaves, 0 in contact.
-        misc: (4,) clearance between the arm's own bodies [m], leaf intensity, distance of the tool to the border of the approach
+        own: (P,) clearance of each pair of bodies that can touch, in the order of `Shapes.pairs` [m].
+        misc: (4,) smallest clearance between the arm's own bodies [m], leaf intensity, distance of the tool to the border of the approach
             zone (positive inside) [m], clearance required here [m].
     """
 
     clear: Array
     leaf_clear: Array
+    own: Array
     misc: Array
 
 
@@ -79,9 +82,10 @@ def make_scratch(shapes: Shapes, fields: Fields) -> Scratch:
     )
 
 
-def make_state(bodies: int) -> State:
+def make_state(shapes: Shapes) -> State:
     """Allocate one result."""
-    return State(np.zeros(bodies), np.zeros(bodies), np.zeros(4))
+    bodies = len(shapes.spacing)
+    return State(np.zeros(bodies), np.zeros(bodies), np.zeros(len(shapes.pairs)), np.zeros(4))
 
 
 @inline_kernel
@@ -120,7 +124,7 @@ def _scan_body(world: Any, shapes: Any, scratch: Any, b: Any, inside: Any, need:
                 mask |= 1 << (c - shapes.coarse_start[b])
         bound = lower_bound(stem, h) - sphere[3] - world.stem_radius
         hard = hard_distance(world, b, x, y, z) - sphere[3] if extra else CAP_M
-        if bound > refine and hard > refine:
+        if bound > need + DESCEND_M and hard > need + DESCEND_M:
             best = min(best, bound, hard)
             continue
         for f in range(shapes.fine_start[c], shapes.fine_start[c + 1]):
@@ -230,7 +234,7 @@ def check(chain: Chain, shapes: Shapes, world: World, scratch: Scratch, q: Array
             if floor > need:
                 return False
             valid = False
-    state.misc[SELF] = self_clearance(shapes, scratch)
+    state.misc[SELF] = self_clearance(shapes, scratch, state.own)
     if state.misc[SELF] < SELF_CLEARANCE_M:
         if floor > need:
             return False

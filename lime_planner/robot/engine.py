@@ -59,7 +59,7 @@ def _example() -> Parts:
         gripper=0,
     )
     fields = build_fields(np.zeros((0, 3)), np.zeros((0, 3)))
-    return Parts(chain, shapes, empty_world(fields, 0), make_scratch(shapes, fields), make_state(0))
+    return Parts(chain, shapes, empty_world(fields, 0), make_scratch(shapes, fields), make_state(shapes))
 
 
 _TYPE = numba.typeof(_example())
