@@ -66,10 +66,11 @@ class Comparison:
 
 @contextlib.contextmanager
 def _quiet() -> Iterator[None]:
-    # pingouin 0.7 uses what pandas 4 will drop.
+    # pingouin 0.7 uses what pandas 4 will drop, and its Bayes factors, which nobody asked for, overflow on clear differences.
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DeprecationWarning)
         warnings.simplefilter("ignore", FutureWarning)
+        warnings.filterwarnings("ignore", category=RuntimeWarning, module="pingouin")
         yield
 
 
@@ -156,7 +157,8 @@ def welch(a: str, b: str, first: Array, second: Array) -> Comparison:
     import pingouin  # type: ignore[import-untyped, unused-ignore]
 
     x, y = first[np.isfinite(first)], second[np.isfinite(second)]
-    line = pingouin.ttest(x, y, paired=False, alternative="two-sided", correction=True).to_dict("records")[0]
+    with _quiet():
+        line = pingouin.ttest(x, y, paired=False, alternative="two-sided", correction=True).to_dict("records")[0]
     low, high = _confidence_interval(x, y)
     return Comparison(
         a=a,
