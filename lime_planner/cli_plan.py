@@ -139,7 +139,10 @@ def plan_in(scene: Scene, robot: Robot, settings: Settings, args: argparse.Names
         sentence = f"{frames}; without ROS no transform between them is known"
         return _refuse(args, Status.TF_ERROR.name, Status.TF_ERROR.message(sentence))
     T_base_tool = pose_to_matrix(target)
-    result = Pipeline(robot).plan(scene, T_base_tool, q_start, settings, should_stop=_stopped_by_signal(), seed=settings.seed)
+    should_stop = _stopped_by_signal()
+    pipeline = Pipeline(robot)
+    pipeline.warm_up()  # compiling must not eat the time budget
+    result = pipeline.plan(scene, T_base_tool, q_start, settings, should_stop=should_stop, seed=settings.seed)
     return _report(result, scene, robot, q_start, target, args)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import dataclasses
+import importlib.util
 import signal
 import time
 from collections.abc import Callable, Mapping
@@ -81,6 +82,8 @@ def run(args: argparse.Namespace) -> int:
     settings = settings_from(planning)
     if settings.robot == "topic":
         raise ParameterError("robot: the demo needs a built-in model or a URDF file")
+    if importlib.util.find_spec("rclpy") is None:
+        raise ModuleNotFoundError("the demo needs ROS 2", name="rclpy")
     clock.say("loading the arm and the scene")
     from lime_planner.pipeline import Pipeline
     from lime_planner.robot.model import load_robot
@@ -89,6 +92,7 @@ def run(args: argparse.Namespace) -> int:
     pipeline = Pipeline(robot)
     scene = _scene(args, robot)
     if scene.target_pose is None:
+        pipeline.warm_up()
         clock.say("the scene has no target; looking for a place in its canopy that the arm can reach")
         scene = _with_drawn_target(scene, robot, pipeline, planning)
     args.out.mkdir(parents=True, exist_ok=True)
@@ -221,6 +225,7 @@ def _compare(
     from lime_planner.robot.model import home
 
     assert scene.target_pose is not None
+    pipeline.warm_up()
     clock.say("for comparison, the same reach with leaves as solid obstacles and with leaves ignored")
     q_start = driven.states[0] if len(driven.states) else home(robot)
     columns: list[tuple[str, Mapping[str, Any]]] = []
