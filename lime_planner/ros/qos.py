@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import time
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from rclpy.event_handler import SubscriptionEventCallbacks
@@ -29,29 +30,26 @@ STATUS = _profile(10, ReliabilityPolicy.RELIABLE, DurabilityPolicy.TRANSIENT_LOC
 SERVICE = _profile(1000, ReliabilityPolicy.RELIABLE, DurabilityPolicy.VOLATILE)
 
 
-def needed_profiles(base: QoSProfile, offers: Sequence[QoSProfile]) -> list[QoSProfile]:
-    """Return the profiles under which one must subscribe to hear every publisher as well as it offers.
+#: How long a subscription stays open to collect what a latching publisher had published before [s].
+COLLECTING_S = 5.0
 
-    `base` always. Best effort too where a publisher offers only that (a reliable subscription hears nothing from it); transient
-    local too where a publisher latches (a volatile subscription misses what was published before).
 
-    Args:
-        base: reliable and volatile.
-        offers: the publishers' profiles.
-    """
-    needed = [base]
-    reliable = [offer for offer in offers if offer.reliability != ReliabilityPolicy.BEST_EFFORT]
-    if any(offer.durability == DurabilityPolicy.TRANSIENT_LOCAL for offer in reliable):
-        needed.append(_profile(base.depth, base.reliability, DurabilityPolicy.TRANSIENT_LOCAL))
-    if len(reliable) < len(offers):
-        needed.append(_profile(base.depth, ReliabilityPolicy.BEST_EFFORT, DurabilityPolicy.VOLATILE))
-    return needed
+def is_best_effort(offer: QoSProfile) -> bool:
+    """Tell whether a reliable subscription hears nothing of a publisher with this offer."""
+    return bool(offer.reliability == ReliabilityPolicy.BEST_EFFORT)
+
+
+def is_latched(offer: QoSProfile) -> bool:
+    """Tell whether a publisher with this offer hands its last messages to a late subscription that asks for them."""
+    return bool(offer.durability == DurabilityPolicy.TRANSIENT_LOCAL and not is_best_effort(offer))
 
 
 class AdaptiveSubscription:
-    """A subscription that follows what the publishers offer, by subscribing again under further profiles.
+    """A subscription that hears every publisher as well as it offers, by subscribing again under further profiles.
 
-    A message that arrives under two of them is passed on once.
+    The base profile, reliable and volatile, stays in any case. Best effort comes along while a publisher offers only that;
+    transient local for a few seconds whenever a new publisher latches, to collect what a volatile subscription misses. A message
+    that arrives under two profiles is passed on once.
     """
 
     def __init__(self, node: Node, message_type: Any, topic: str, base: QoSProfile, callback: Callable[[Any], None]) -> None:
@@ -61,31 +59,40 @@ class AdaptiveSubscription:
             node: the node, whose executor calls `check` and `callback` in one thread.
             message_type: the message class.
             topic: relative name, remapped as usual.
-            base: reliable and volatile, kept in any case.
+            base: reliable and volatile.
             callback: what to call with each message.
         """
         self._node = node
         self._type = message_type
         self._topic = topic
-        self._base = base
         self._callback = callback
         self._seen: deque[int] = deque(maxlen=16)
-        self._subscriptions = {_key(base): self._subscribe(base)}
+        self._collected: set[tuple[int, ...]] = set()
+        self._collecting_since_s = 0.0
+        self._best_effort = _profile(base.depth, ReliabilityPolicy.BEST_EFFORT, DurabilityPolicy.VOLATILE)
+        self._latched = _profile(base.depth, base.reliability, DurabilityPolicy.TRANSIENT_LOCAL)
+        self._base = self._subscribe(base)
+        self._further: dict[str, Any] = {}
 
     def check(self) -> None:
         """Compare with the publishers' offers; to be called now and then (an event would only say that something changed)."""
-        name = self._subscriptions[_key(self._base)].topic_name
-        offers = [info.qos_profile for info in self._node.get_publishers_info_by_topic(name)]
-        if not offers:
-            return
-        needed = {_key(profile): profile for profile in needed_profiles(self._base, offers)}
-        for key in [key for key in self._subscriptions if key not in needed]:
-            self._node.destroy_subscription(self._subscriptions.pop(key))
-        for key, profile in needed.items():
-            if key not in self._subscriptions:
-                words = f"{profile.reliability.name}, {profile.durability.name}".lower()
-                self._node.get_logger().info(f"{name}: subscribing as {words} too, which is what a publisher offers")
-                self._subscriptions[key] = self._subscribe(profile)
+        publishers = self._node.get_publishers_info_by_topic(self._base.topic_name)
+        self._keep("best effort", self._best_effort, any(is_best_effort(info.qos_profile) for info in publishers))
+        latching = {tuple(info.endpoint_gid) for info in publishers if is_latched(info.qos_profile)}
+        new = bool(latching - self._collected)
+        now_s = time.monotonic()
+        if new and "latched" not in self._further:
+            self._collecting_since_s = now_s
+        self._keep("latched", self._latched, new)
+        if new and now_s - self._collecting_since_s >= COLLECTING_S:
+            self._collected = latching
+
+    def _keep(self, word: str, profile: QoSProfile, needed: bool) -> None:
+        if needed and word not in self._further:
+            self._node.get_logger().info(f"{self._base.topic_name}: subscribing as {word} too, which is what a publisher offers")
+            self._further[word] = self._subscribe(profile)
+        elif not needed and word in self._further:
+            self._node.destroy_subscription(self._further.pop(word))
 
     def _subscribe(self, profile: QoSProfile) -> Any:
         # Our own handler keeps rclpy from logging a warning for an offer that `check` is about to follow.
@@ -98,7 +105,3 @@ class AdaptiveSubscription:
             return
         self._seen.append(sent)
         self._callback(msg)
-
-
-def _key(profile: QoSProfile) -> tuple[ReliabilityPolicy, DurabilityPolicy]:
-    return profile.reliability, profile.durability
