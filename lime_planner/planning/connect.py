@@ -13,7 +13,7 @@ from lime_planner.space import distance, edge, evaluate
 
 Array = npt.NDArray[np.float64]
 
-_CAPACITY = 4000
+CAPACITY = 4000
 
 
 class Bush(NamedTuple):
@@ -26,7 +26,7 @@ class Bush(NamedTuple):
 
 def new_bush(n: int) -> Bush:
     """An empty tree in n dimensions."""
-    return Bush(np.zeros((_CAPACITY, n)), np.zeros(_CAPACITY, np.int32), np.zeros(1, np.int64))
+    return Bush(np.zeros((CAPACITY, n)), np.zeros(CAPACITY, np.int32), np.zeros(1, np.int64))
 
 
 @kernel

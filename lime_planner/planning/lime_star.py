@@ -110,7 +110,7 @@ class _Run:
         self.goal_of = [-1] * (options.tracks + 1)
         self.from_start, self.from_goal = trees.new_bush(n), trees.new_bush(n)
         self.path, self.trial, self.q = np.zeros((local.MAX_WAYPOINTS, n)), np.zeros((2, n)), np.zeros(n)
-        self.iterations = 0
+        self.iterations = self.tries = 0
         self.best_cost = math.inf
         self.best_path: Array | None = None
         self.history: list[tuple[float, int, float]] = []
@@ -238,24 +238,29 @@ def _search(
 
 def _first_paths(run: _Run, over: Callable[[], bool], left: Callable[[int], int]) -> None:
     """Reach each goal by two trees, nearest first, and polish what comes out a little."""
-    o = run.options
     trees.plant(run.from_start, run.start)
     for g in run.goals:
         if over():
             return
-        if float(np.linalg.norm(g - run.start)) >= run.best_cost:
-            continue
-        trees.plant(run.from_goal, g)
-        if run.from_start.size[0] > 2000:
-            trees.plant(run.from_start, run.start)
-        samples = left(o.connect_samples)
-        count, drawn = trees.connect(run.leafless, run.from_start, run.from_goal, samples, run.stride, run.random, run.trial, run.path)
+        if float(np.linalg.norm(g - run.start)) < run.best_cost:
+            _reach(run, g, left(run.options.connect_samples), over, left)
+
+
+def _reach(run: _Run, goal: Array, samples: int, over: Callable[[], bool], left: Callable[[int], int]) -> None:
+    """Try to reach one goal by two trees; the start's tree is kept from goal to goal."""
+    if run.from_start.size[0] > trees.CAPACITY // 2:
+        trees.plant(run.from_start, run.start)
+    trees.plant(run.from_goal, goal)
+    while samples > 0 and not over():
+        share = left(min(samples, 100))  # short slices: a stop is heard in between
+        count, drawn = trees.connect(run.leafless, run.from_start, run.from_goal, share, run.stride, run.random, run.trial, run.path)
         run.iterations += drawn
-        if count == 0:
-            continue
-        t = run.adopt(count, math.inf)
-        if t >= 0 and not over():
-            _polish(run, t, left(40), over)
+        samples -= share
+        if count:
+            t = run.adopt(count, math.inf)
+            if t >= 0 and not over():
+                _polish(run, t, left(40), over)
+            return
 
 
 def _polish(run: _Run, t: int, trials: int, over: Callable[[], bool]) -> None:
@@ -280,6 +285,13 @@ def _round(run: _Run, over: Callable[[], bool], left: Callable[[int], int]) -> N
     if run.road.size[0] + o.batch + local.MAX_WAYPOINTS > len(run.road.rows) or 2 * run.road.size[1] > len(run.road.length):
         run.road = graph.enlarged(run.road)
     best_track = int(np.argmin(run.tracks.cost))
+    if not math.isfinite(run.best_cost):
+        # Still no path at all: harder tries, goal after goal, before the roadmap has its turn again.
+        run.tries += 1
+        samples = o.connect_samples * min(2 ** (run.tries // len(run.goals) + 1), 64)
+        _reach(run, run.goals[run.tries % len(run.goals)], left(samples), over, left)
+        if over():
+            return
     samples = left(o.batch)
     _grow(run.space, run.road, run.tracks, samples, run.best_cost, run.least, run.most, run.random, run.q)
     run.iterations += samples
