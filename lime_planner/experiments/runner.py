@@ -9,6 +9,7 @@ import signal
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
+from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, TypeVar
@@ -33,7 +34,8 @@ def _ignore_interrupt() -> None:
 
 
 @contextlib.contextmanager
-def _progress(description: str, total: int, console: Console) -> Iterator[Callable[[], None]]:
+def progress_bar(description: str, total: int, console: Console) -> Iterator[Callable[[], None]]:
+    """Show a bar while the context lasts, on a terminal only; call what it yields for each step."""
     if not console.is_terminal:
         yield lambda: None
         return
@@ -66,7 +68,7 @@ def run_trials(
         True when all are done; False after ctrl-C: tasks under way are finished and handed over, the others dropped.
     """
     console = console or Console(stderr=True)
-    with _progress(description, len(tasks), console) as advance:
+    with progress_bar(description, len(tasks), console) as advance:
 
         def done(result: Result) -> None:
             on_result(result)
@@ -80,11 +82,17 @@ def run_trials(
                 return False
             return True
         with ProcessPoolExecutor(jobs, mp_context=get_context("spawn"), initializer=_ignore_interrupt) as pool:
-            return _drain(pool, function, tasks, done, jobs * _IN_FLIGHT)
+            told = partial(console.print, "Stopping: the trials under way are finished and kept (ctrl-C again drops them).")
+            return _drain(pool, function, tasks, done, jobs * _IN_FLIGHT, told)
 
 
 def _drain(
-    pool: ProcessPoolExecutor, function: Callable[[Task], Result], tasks: Sequence[Task], done: Callable[[Result], None], ahead: int
+    pool: ProcessPoolExecutor,
+    function: Callable[[Task], Result],
+    tasks: Sequence[Task],
+    done: Callable[[Result], None],
+    ahead: int,
+    interrupt: Callable[[], None],
 ) -> bool:
     """Keep `ahead` tasks in the pool until all are done, or until ctrl-C."""
     waiting = iter(tasks)
@@ -108,6 +116,7 @@ def _drain(
             if interrupted:
                 raise  # a second ctrl-C: leave at once
             interrupted = True
+            interrupt()
             pending = {future for future in pending if not future.cancel()}
 
 

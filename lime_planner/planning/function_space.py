@@ -37,9 +37,7 @@ _C_TYPES = {
     _VALID: ctypes.CFUNCTYPE(ctypes.c_double, _POINTER, ctypes.c_int64),
     _COST: ctypes.CFUNCTYPE(ctypes.c_double, _POINTER, ctypes.c_int64),
     _DISTANCE: ctypes.CFUNCTYPE(ctypes.c_double, _POINTER, _POINTER, ctypes.c_int64),
-    _FIELD: ctypes.CFUNCTYPE(
-        ctypes.c_double, _POINTER, _POINTER, ctypes.c_double, ctypes.c_double, ctypes.c_double, ctypes.c_int64
-    ),
+    _FIELD: ctypes.CFUNCTYPE(ctypes.c_double, _POINTER, _POINTER, ctypes.c_double, ctypes.c_double, ctypes.c_double, ctypes.c_int64),
 }
 
 
