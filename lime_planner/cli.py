@@ -41,6 +41,7 @@ COMMANDS = (
     Command(("parameters",), "lime_planner.cli_parameters", "list every parameter that --set and the node understand"),
     Command(("experiment", "wall"), "lime_planner.experiments.wall", "the paper's experiment on the plane", "--trials 20 --out wall"),
     Command(("experiment", "lime"), "lime_planner.experiments.lime", "the paper's experiment with the arm", "--trials 20 --out lime"),
+    Command(("experiment", "damage"), "lime_planner.experiments.damage", "leaves that the arm really touches", "--plants 2 --out damage"),
     Command(("bench", "kernels"), "lime_planner.experiments.kernels", "time of the compiled kernels"),
     Command(("bench", "peers"), "lime_planner.experiments.peers", "time and cost against other planners"),
 )
@@ -48,7 +49,7 @@ COMMANDS = (
 GROUPS = {"scene": "make, obtain and inspect scenes", "experiment": "the paper's tables and figures", "bench": "measurements"}
 
 #: The extra of the package that brings a library.
-_EXTRAS = {"rclpy": "ros", "pingouin": "experiments", "pandas": "experiments"}
+_EXTRAS = {"rclpy": "ros", "pingouin": "experiments", "pandas": "experiments", "distributed": "cluster"}
 
 _EXAMPLES = """\
 examples:
