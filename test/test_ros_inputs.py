@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import time
 from types import SimpleNamespace
@@ -228,6 +229,26 @@ class TestScenes:
         assert inputs.slots["stem_cloud"].used == 1
         inputs.on_cloud("stem_cloud", cloud(6))
         assert len(made.scene(snapshot_from({}), never).stem_points) == 6
+
+    def test_what_thinning_displaced_stays_known(self, inputs: Inputs) -> None:
+        def thin(scene: Scene, q: object, padding_m: float) -> Scene:
+            return dataclasses.replace(scene, stem_displacement_m=0.001 * len(scene.stem_points), leaf_displacement_m=0.002)
+
+        inputs.on_cloud("leaf_cloud", cloud(10))
+        inputs.on_cloud("stem_cloud", cloud(5))
+        scene = SceneSource(inputs, StaticFrames(), "base", thin).scene(snapshot_from({}), never)
+        assert (scene.stem_displacement_m, scene.leaf_displacement_m) == (0.005, 0.002)
+
+    def test_the_watch_looks_at_stems_alone(self, inputs: Inputs) -> None:
+        made = source(inputs)
+        inputs.on_cloud("leaf_cloud", cloud(10))
+        inputs.on_cloud("stem_cloud", cloud(5))
+        stems = made.stems(snapshot_from({}), never)
+        assert (len(stems.leaf_points), len(stems.stem_points)) == (0, 5)
+        assert inputs.slots["leaf_cloud"].used == 0
+        whole = made.scene(snapshot_from({}), never)
+        assert made.stems(snapshot_from({}), never) is stems
+        assert made.scene(snapshot_from({}), never) is whole
 
     def test_no_or_empty_stems_permit_nothing_unless_allowed(self, inputs: Inputs) -> None:
         made, allowed = source(inputs), snapshot_from({"allow_empty_stem_cloud": True})

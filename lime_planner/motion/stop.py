@@ -13,13 +13,12 @@ import numpy as np
 import numpy.typing as npt
 
 from lime_planner.errors import ProblemError
+from lime_planner.motion.braking_kernel import brake
 from lime_planner.motion.trajectory import Trajectory
 
 Array = npt.NDArray[np.float64]
 
 STOP_TIME_S = 0.2  #: time of the single point of a Kinova stop
-_SLACK = 1e-3  # the running motion's own cubics may exceed the limits by rounding
-_CHOICES = 17  # of the next pace, tried at once
 
 
 def one_point_stop(joint_names: Sequence[str], q_measured: npt.ArrayLike) -> Trajectory:
@@ -66,23 +65,18 @@ def braking(running: Trajectory, elapsed_s: float, acceleration_limits: npt.Arra
     lead = dt_s if lead_s is None else float(lead_s)
     if not (np.isfinite(lead) and lead >= 0.0 and np.isfinite(elapsed_s) and elapsed_s >= 0.0):
         raise ProblemError(f"elapsed_s and lead_s must be finite and at least 0, got {elapsed_s} and {lead}")
-    clock, pace = min(elapsed_s + lead, running.duration_s), 1.0
-    positions = [running.sample(clock)]
-    velocities = [running.sample_velocity(clock)]
-    while pace > 0.0 and clock < running.duration_s:
-        low, high = 0.0, pace
-        for _ in range(2):  # coarse, then finer between the first pace allowed and the one below it
-            paces = np.linspace(low, high, _CHOICES)
-            clocks = np.minimum(clock + 0.5 * dt_s * (pace + paces), running.duration_s)
-            q = running.sample(clocks)
-            v = running.sample_velocity(clocks) * paces[:, None]
-            slope = (q - positions[-1]) / dt_s
-            start, end = 6.0 * slope - 4.0 * velocities[-1] - 2.0 * v, 2.0 * velocities[-1] + 4.0 * v - 6.0 * slope
-            within = (np.maximum(np.abs(start), np.abs(end)) <= limits * (1.0 + _SLACK) * dt_s).all(axis=1)
-            choice = int(np.argmax(within)) if within.any() else _CHOICES - 1
-            low, high = float(paces[max(choice - 1, 0)]), float(paces[choice])
-        clock, pace = float(clocks[choice]), high
-        positions.append(q[choice])
-        velocities.append(v[choice])
-    velocities[-1] = np.zeros(n)
-    return Trajectory(running.joint_names, dt_s, np.stack(positions), np.stack(velocities), first_time_s=lead)
+    begin = min(elapsed_s + lead, running.duration_s)
+    if len(running) == 1:
+        return Trajectory(running.joint_names, dt_s, running.positions, np.zeros((1, n)), first_time_s=lead)
+    # Every step that does not stand still moves the clock by half of the first, full pace at least once: twice the rest is plenty.
+    rows = 2 * int(np.ceil((running.duration_s - begin) / dt_s)) + 1000
+    positions, velocities = np.empty((rows, n)), np.empty((rows, n))
+    filled = brake(
+        begin, running.first_time_s, running.duration_s, dt_s, running.positions, running.velocities, limits, positions, velocities
+    )
+    return Trajectory(running.joint_names, dt_s, positions[:filled], velocities[:filled], first_time_s=lead)
+
+
+def warm_up() -> None:
+    """Compile `braking`, so that the first stop is as quick as any."""
+    braking(Trajectory(("joint",), 0.1, np.array([[0.0], [0.1]]), np.zeros((2, 1))), 0.0, [1.0])

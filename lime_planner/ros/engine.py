@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from lime_planner.errors import LimePlannerError
+from lime_planner.motion import stop
 from lime_planner.parameters import Settings
 from lime_planner.ros.refusal import Refusal
 from lime_planner.status import Status
@@ -24,6 +25,11 @@ class Loaded:
 
     robot: Any
     pipeline: Any
+
+    def warm_up(self) -> None:
+        """Compile what planning and stopping need."""
+        stop.warm_up()
+        self.pipeline.warm_up()
 
 
 #: Builds them: (settings, URDF text from the topic or None) -> Loaded.
@@ -165,7 +171,7 @@ class Engine:
             loaded = self._builder(self._settings, urdf)
             if not self._exchange(loaded):
                 return
-            loaded.pipeline.warm_up()
+            loaded.warm_up()
         except LimePlannerError as error:
             self._fail(f"the robot cannot be loaded: {error}")
         except Exception as error:

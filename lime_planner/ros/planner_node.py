@@ -49,7 +49,7 @@ from lime_planner.ros.worker import Answer, Ticket, Worker
 from lime_planner.status import Status
 
 #: Python hands the interpreter from one thread to another this often [s]: callbacks wait less for the worker's Python.
-_SWITCH_INTERVAL_S = 0.001
+_SWITCH_INTERVAL_S = 0.0003
 _WATCH_PERIOD_S = 0.02
 _OFFERS_PERIOD_S = 0.5
 _WARNING_PERIOD_S = 5.0

@@ -28,15 +28,15 @@ _LEAF, _HARD = 0, 1  # labels given here to the points of the two separate cloud
 
 @dataclass(frozen=True)
 class _Key:
-    """What a scene was made of: the same clouds and settings need no second look."""
+    """What a cloud's scene was made of: the same cloud and settings need no second look."""
 
-    numbers: tuple[int, ...]
+    number: int
     labels: tuple[object, ...]
     padding_m: float
 
 
 class SceneSource:
-    """Makes scenes of the inputs and keeps the last one."""
+    """Makes scenes of the inputs and keeps the last ones."""
 
     def __init__(self, inputs: Inputs, frames: Frames, planning_frame: str, arm_filter: ArmFilter) -> None:
         """Make a source.
@@ -51,7 +51,8 @@ class SceneSource:
         self._frames = frames
         self._planning_frame = planning_frame
         self._arm_filter = arm_filter
-        self._last: tuple[_Key, Scene] | None = None
+        self._parts: dict[str, tuple[_Key, Scene]] = {}
+        self._merged: tuple[list[Scene], Scene] | None = None
         self._lock = threading.Lock()  # the worker and the execution watch ask
 
     def newest_stem_number(self) -> int:
@@ -65,31 +66,44 @@ class SceneSource:
             Refusal: NO_CLOUD, BAD_INPUT, STALE_INPUT, TF_ERROR.
         """
         with self._lock:
-            return self._scene(snapshot, should_stop)
+            samples = self._samples(snapshot.node)
+            scene = self._scene(samples, snapshot, should_stop)
+            for name, sample in samples.items():
+                self._inputs.slots[name].use(sample)
+        if not len(scene.stem_points) + len(scene.fruit_points) and not snapshot.node.allow_empty_stem_cloud:
+            raise Refusal(Status.NO_CLOUD, _emptiness(samples, scene))
+        return scene
 
-    def _scene(self, snapshot: Snapshot, should_stop: Callable[[], bool]) -> Scene:
-        samples = self._samples(snapshot.node)
+    def stems(self, snapshot: Snapshot, should_stop: Callable[[], bool]) -> Scene:
+        """Return the scene of the newest stems alone, for the watch over a motion; the leaf cloud is left for the next plan.
+
+        Raises:
+            Refusal: see `scene`.
+        """
+        with self._lock:
+            samples = self._samples(snapshot.node)
+            samples.pop("leaf_cloud", None)
+            scene = self._scene(samples, snapshot, should_stop)
+            for name, sample in samples.items():
+                self._inputs.slots[name].use(sample)
+            return scene
+
+    def _scene(self, samples: dict[str, Sample], snapshot: Snapshot, should_stop: Callable[[], bool]) -> Scene:
         for name, sample in samples.items():
             if sample.refusal is not None:
                 raise Refusal(Status.BAD_INPUT, sample.refusal)
             sample.check_time(name, snapshot.node.max_cloud_age_s, snapshot.node.max_clock_skew_s)
         self._check_skew(samples, snapshot.node.max_cloud_skew_s)
-        node = snapshot.node
-        key = _Key(
-            tuple(samples[name].number if name in samples else 0 for name in CLOUDS),
-            (node.label_field, node.leaf_labels, node.stem_labels, node.fruit_labels, node.ignored_labels),
-            snapshot.plan.self_filter_padding_m,
-        )
-        if self._last is not None and self._last[0] == key:
-            scene = self._last[1]
-        else:
-            scene = self._build(samples, snapshot, should_stop)
-            self._last = (key, scene)
-        for name, sample in samples.items():
-            self._inputs.slots[name].use(sample)
-        if not len(scene.stem_points) + len(scene.fruit_points) and not node.allow_empty_stem_cloud:
-            raise Refusal(Status.NO_CLOUD, _emptiness(samples, scene))
-        return scene
+        parts = [self._kept_part(name, sample, snapshot, should_stop) for name, sample in samples.items()]
+        if len(parts) == 1:
+            return parts[0]
+        if (
+            self._merged is None
+            or len(self._merged[0]) != len(parts)
+            or any(a is not b for a, b in zip(self._merged[0], parts, strict=True))
+        ):
+            self._merged = (parts, _merged(parts, self._planning_frame))
+        return self._merged[1]
 
     def _samples(self, node: NodeSettings) -> dict[str, Sample]:
         """Return the newest clouds that belong together: the labelled one, or leaf and stem, whichever came last."""
@@ -114,19 +128,26 @@ class SceneSource:
         if skew_s > limit_s:
             raise Refusal(Status.STALE_INPUT, f"leaf and stem cloud are {skew_s:.2f} s apart, the limit is {limit_s:g} s")
 
-    def _build(self, samples: dict[str, Sample], snapshot: Snapshot, should_stop: Callable[[], bool]) -> Scene:
-        parts = []
-        for name, sample in samples.items():
-            try:
-                parts.append(self._part(name, sample, snapshot, should_stop))
-            except Refusal as error:
-                if error.status is Status.BAD_INPUT:
-                    self._inputs.slots[name].reject(sample, str(error))
-                raise
-            except SceneError as error:
-                self._inputs.slots[name].reject(sample, f"{name}: {error}")
-                raise Refusal(Status.BAD_INPUT, f"{name}: {error}") from None
-        return _merged(parts, self._planning_frame)
+    def _kept_part(self, name: str, sample: Sample, snapshot: Snapshot, should_stop: Callable[[], bool]) -> Scene:
+        """Return one cloud's scene: the same object again as long as cloud and settings are the same."""
+        node = snapshot.node
+        labels = (node.label_field, node.leaf_labels, node.stem_labels, node.fruit_labels, node.ignored_labels)
+        key = _Key(sample.number, labels, snapshot.plan.self_filter_padding_m)
+        kept = self._parts.get(name)
+        if kept is None or kept[0] != key:
+            kept = self._parts[name] = (key, self._checked_part(name, sample, snapshot, should_stop))
+        return kept[1]
+
+    def _checked_part(self, name: str, sample: Sample, snapshot: Snapshot, should_stop: Callable[[], bool]) -> Scene:
+        try:
+            return self._part(name, sample, snapshot, should_stop)
+        except Refusal as error:
+            if error.status is Status.BAD_INPUT:
+                self._inputs.slots[name].reject(sample, str(error))
+            raise
+        except SceneError as error:
+            self._inputs.slots[name].reject(sample, f"{name}: {error}")
+            raise Refusal(Status.BAD_INPUT, f"{name}: {error}") from None
 
     def _part(self, name: str, sample: Sample, snapshot: Snapshot, should_stop: Callable[[], bool]) -> Scene:
         node = snapshot.node
@@ -166,8 +187,6 @@ def _emptiness(samples: dict[str, Sample], scene: Scene) -> str:
 
 def _merged(parts: list[Scene], frame_id: str) -> Scene:
     """Put the scenes of several clouds together; the counts add up."""
-    if len(parts) == 1:
-        return parts[0]
     counts: dict[str, int] = {}
     for part in parts:
         for name, count in part.counts.items():
@@ -179,4 +198,6 @@ def _merged(parts: list[Scene], frame_id: str) -> Scene:
         fruit_points=np.concatenate([np.empty((0, 3), np.float32), *(part.fruit_points for part in parts)]),
         frame_id=frame_id,
         counts=counts,
+        stem_displacement_m=max((part.stem_displacement_m for part in parts), default=0.0),
+        leaf_displacement_m=max((part.leaf_displacement_m for part in parts), default=0.0),
     )

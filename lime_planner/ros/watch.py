@@ -6,6 +6,7 @@ In a thread of its own, because a preview may keep the worker busy meanwhile. Le
 from __future__ import annotations
 
 import threading
+import time
 import traceback
 from collections.abc import Callable
 from typing import Any
@@ -13,6 +14,9 @@ from typing import Any
 from lime_planner.ros.execution import Execution, Motion
 from lime_planner.ros.refusal import Refusal
 from lime_planner.status import Status
+
+#: Pause after each look [s]: clouds come faster than they need be looked at, and callbacks want the interpreter too.
+_PAUSE_S = 0.05
 
 #: What looks: (motion, should_stop) -> a sentence when the way is blocked, else None. May raise `Refusal`.
 Look = Callable[[Motion, Callable[[], bool]], str | None]
@@ -62,6 +66,7 @@ class StemWatch:
             motion = self._execution.motion
             if motion is not None:
                 self._check(motion)
+                time.sleep(_PAUSE_S)
 
     def _check(self, motion: Motion) -> None:
         def should_stop() -> bool:
@@ -91,7 +96,7 @@ def make_look(source: Callable[[], Any], engine: Callable[[], Any]) -> Look:
         loaded = engine()
         if loaded is None:
             return None
-        scene = source().scene(motion.snapshot, should_stop)
+        scene = source().stems(motion.snapshot, should_stop)
         sentence: str | None = loaded.pipeline.obstruction(
             motion.result, scene, motion.snapshot.plan, from_time_s=motion.elapsed_s(), should_stop=should_stop
         )
