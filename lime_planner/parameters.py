@@ -117,7 +117,7 @@ _NODE_TABLE = (
     Parameter("max_clock_skew_s", 1.0, "Refuse stamps that lie further in the future than this; 0: off.", "s", 0.0, 1e6),
     Parameter("static_transforms", [], "Where tf2 is not there: `parent child x y z qx qy qz qw` of each camera, in metres.", element=str, read_only=True),
     Parameter("tf_timeout_s", 0.2, "How long a plan waits for the transform of a cloud or a target.", "s", 0.0, 60.0),
-    Parameter("warm_up_timeout_s", 300.0, "How long a request waits for the compilation of the kernels before it answers NOT_READY.", "s", 0.0, 3600.0),
+    Parameter("warm_up_timeout_s", 600.0, "How long a request waits for the compilation of the kernels before it answers NOT_READY.", "s", 0.0, 3600.0),
     Parameter("controller", "jtc", "What carries the motion out, and so how it is stopped: a joint trajectory controller or Kinova's driver.", choices=("jtc", "kinova")),
     Parameter("start_tolerance_rad", 0.01, "Largest difference of a joint from the plan's start when the motion is sent.", "rad", 0.0001, 0.1),
     Parameter("stillness_rad", 0.003, "The arm is at rest when no joint moved further than this within stillness_time_s.", "rad", 0.0001, 0.1),

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     Array = npt.NDArray[np.float64]
 
 DEFAULT_SEED = 15
-_READY_TIMEOUT_S = 240.0  # compiling everything for the first time takes its while on a slow machine
+_READY_TIMEOUT_S = 600.0  # compiling everything for the first time takes its while on a slow machine
 _TARGETS_TRIED = 80
 
 _EPILOG = """\
