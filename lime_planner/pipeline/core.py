@@ -220,6 +220,8 @@ class Pipeline:
             if found.path is None:
                 if found.status is Status.CANCELLED:
                     raise Stopped(Status.CANCELLED, "the request was stopped while searching")
+                if found.status is Status.START_INVALID:
+                    raise Stopped(found.status, "where the arm stands, it is closer to itself or to something hard than can be certified")
                 amount = f"{found.iterations} iterations" if budget is None else f"{budget:.2f} s ({found.iterations} iterations)"
                 raise Stopped(found.status, f"no path to any of {len(goals.configurations)} goal configurations within {amount}")
             hit = hit_of(checker, sample_path(found.path, CERTIFIED_STEP_RAD)[0], should_stop)

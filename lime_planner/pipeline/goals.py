@@ -20,6 +20,7 @@ Array = npt.NDArray[np.float64]
 
 MODEL_ERROR_M = 0.001  # a goal's clearance in the fast model must exceed what the model may be wrong by
 _BELOW_OWN_M = 0.0004  # at an anchor a little less than its own clearance is required
+_OVERHANG_M = 0.008  # the fast model's spheres reach this far beyond the meshes where they meet boxes, floor and workspace
 _BOX_SLACK_RAD = np.pi / 2  # the sampling box reaches this far beyond start and goals
 
 
@@ -66,8 +67,8 @@ def examine_start(obstacles: Obstacles, checker: ExactChecker, q_start: Array) -
 def find_goals(obstacles: Obstacles, checker: ExactChecker, T_base_tool: Array, q_start: Array, rng: np.random.Generator) -> Goals:
     """Solve inverse kinematics and sort the solutions into goals.
 
-    A solution that the fast model finds too close is asked about once more, exactly: nothing that the meshes accept by
-    `MODEL_ERROR_M` or more is lost.
+    The fast model decides: it is right to `MODEL_ERROR_M`, so nothing that clears the stems by a little more is lost. The exact check
+    says what blocks the others.
     """
     settings = obstacles.settings
     n = obstacles.robot.n
@@ -97,7 +98,7 @@ def find_goals(obstacles: Obstacles, checker: ExactChecker, T_base_tool: Array, 
     start_clear = measure(space, q_start)[0]
     tight = [(q, max(MODEL_ERROR_M - _BELOW_OWN_M, clear - _BELOW_OWN_M)) for _, q, clear in kept if clear < margin + _BELOW_OWN_M]
     if start_clear < margin + _BELOW_OWN_M:
-        tight.append((q_start, max(0.0, start_clear - _BELOW_OWN_M)))
+        tight.append((q_start, max(-_OVERHANG_M, start_clear - _BELOW_OWN_M)))  # the exact check has let it pass
     anchors = np.array([q for q, _ in tight]).reshape(-1, n)
     needs = np.array([need for _, need in tight])
     return Goals(np.array([q for _, q, _ in kept]), anchors, needs, None, "", len(ik.solutions))
@@ -105,7 +106,7 @@ def find_goals(obstacles: Obstacles, checker: ExactChecker, T_base_tool: Array, 
 
 _IN_WORDS = {
     "stem": "in a stem",
-    "tight": "closer to a stem than can be certified",
+    "tight": "closer to something hard than can be certified",
     "self": "in collision with the arm itself",
     "keep_out": "in a keep-out box",
     "floor": "below the floor",

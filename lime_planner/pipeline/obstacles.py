@@ -149,5 +149,6 @@ def prepare(robot: Robot, shapes: Shapes, scene: Scene, target: Array | None, se
         zone=settings.approach_zone_m,
         slope=_MARGIN_SLOPE,
         leaf_mode=GRADED if graded else BINARY,
+        leaf_top=float(weights.max(initial=0.0)),
     )
     return Obstacles(robot, shapes, world, hard, thinned, settings, target, counts)

@@ -14,11 +14,11 @@ import numpy as np
 import numpy.typing as npt
 
 from lime_planner.jit import hot_kernel, inline_kernel
-from lime_planner.robot.contact import place, points_near, touched_patches
+from lime_planner.robot.contact import leaf_near, place, points_near, touched_patches
 from lime_planner.robot.kinematics import Chain, forward_kinematics
 from lime_planner.robot.self_contact import SELF_CLEARANCE_M, self_clearance
 from lime_planner.robot.shapes import Shapes
-from lime_planner.robot.world import BINARY, CAP_M, GRADED, World, hard_distance, required_clearance
+from lime_planner.robot.world import CAP_M, GRADED, World, hard_distance, required_clearance
 from lime_planner.scene.fields import Fields, lower_bound, sample
 
 Array = npt.NDArray[np.float64]
@@ -123,7 +123,7 @@ def _scan_body(world: Any, shapes: Any, scratch: Any, b: Any, inside: Any, need:
             else:
                 mask |= 1 << (c - shapes.coarse_start[b])
         bound = lower_bound(stem, h) - sphere[3] - world.stem_radius
-        hard = hard_distance(world, b, x, y, z) - sphere[3] if extra else CAP_M
+        hard = hard_distance(world, x, y, z) - sphere[3] if extra else CAP_M
         if bound > need + DESCEND_M and hard > need + DESCEND_M:
             best = min(best, bound, hard)
             continue
@@ -131,7 +131,7 @@ def _scan_body(world: Any, shapes: Any, scratch: Any, b: Any, inside: Any, need:
             sphere = shapes.fine[f]
             x, y, z = place(pose, sphere)
             if extra:
-                best = min(best, hard_distance(world, b, x, y, z) - sphere[3])
+                best = min(best, hard_distance(world, x, y, z) - sphere[3])
             stem, _ = sample(fields, x, y, z)
             bound = lower_bound(stem, h) - sphere[3] - world.stem_radius
             if bound > refine:
@@ -174,19 +174,19 @@ def _leaf_of_body(world: Any, shapes: Any, scratch: Any, b: Any, state: Any) -> 
                 touched += touched_patches(shapes, b, pose, fields.leaves, x, y, z, reach, radius, scratch.marks, scratch.last_mark[0])
                 best = 0.0 if touched > 0.0 else min(best, 0.001)
             else:
-                reach += 0.001
-                d = points_near(shapes, b, pose, fields.leaves, x, y, z, reach, radius, pose[:, 3], 0.0) - radius
-                if d < 0.0:
+                d, weight = leaf_near(shapes, b, pose, fields.leaves, x, y, z, reach + 0.001, radius, world.leaf_top)
+                touched = max(touched, weight)
+                best = 0.0 if touched > 0.0 else min(best, d - radius, 0.001)
+                if touched >= world.leaf_top:
                     state.leaf_clear[b] = 0.0
-                    return 1.0
-                best = min(best, d, 0.001)
+                    return touched
     state.leaf_clear[b] = best
-    return touched / GRADED_UNIT
+    return touched / GRADED_UNIT if graded else touched
 
 
 @hot_kernel
 def check(chain: Chain, shapes: Shapes, world: World, scratch: Scratch, q: Array, leaves: bool, floor: float, state: State) -> bool:
-    """Check one configuration against everything.
+    """Check one configuration against everything; body 0, which stands still, against the other bodies only.
 
     Args:
         chain, shapes, world, scratch: the arm, its bodies, the obstacles, this thread's memory.
@@ -224,7 +224,8 @@ def check(chain: Chain, shapes: Shapes, world: World, scratch: Scratch, q: Array
     leaves = leaves and fields.present[1] > 0
     for step in range(bodies):
         b = bodies - 1 - step
-        if shapes.bound[b, 3] == 0.0:
+        # What stands still comes no closer to anything whatever the path: the exact check of the start has judged it.
+        if b == 0 or shapes.bound[b, 3] == 0.0:
             state.clear[b] = CAP_M
             state.leaf_clear[b] = CAP_M
             scratch.masks[b] = 0
@@ -246,8 +247,12 @@ def check(chain: Chain, shapes: Shapes, world: World, scratch: Scratch, q: Array
         for step in range(bodies):
             b = bodies - 1 - step
             if scratch.masks[b] != 0:
-                intensity += _leaf_of_body(world, shapes, scratch, b, state)
-                if intensity > 0.0 and world.leaf_mode == BINARY:
-                    break
+                found = _leaf_of_body(world, shapes, scratch, b, state)
+                if world.leaf_mode == GRADED:
+                    intensity += found
+                else:
+                    intensity = max(intensity, found)
+                    if intensity >= world.leaf_top:
+                        break
     state.misc[LEAF] = intensity
     return valid

@@ -96,6 +96,49 @@ def points_near(
 
 
 @inline_kernel
+def leaf_near(shapes: Any, b: Any, pose: Any, table: Any, x: Any, y: Any, z: Any, reach: Any, radius: Any, top: Any) -> tuple[Any, Any]:
+    """Smallest distance from body b's mesh to the points of `table` within `reach` of a place, and the largest weight within `radius`.
+
+    Stops at the first weight of `top` or more.
+    """
+    best = reach
+    heaviest = 0.0
+    shape = table.shape
+    inverse = 1.0 / table.cell_m
+    low0 = max(0, int(math.floor((x - reach - table.origin[0]) * inverse)))
+    low1 = max(0, int(math.floor((y - reach - table.origin[1]) * inverse)))
+    low2 = max(0, int(math.floor((z - reach - table.origin[2]) * inverse)))
+    high0 = min(shape[0] - 1, int(math.floor((x + reach - table.origin[0]) * inverse)))
+    high1 = min(shape[1] - 1, int(math.floor((y + reach - table.origin[1]) * inverse)))
+    high2 = min(shape[2] - 1, int(math.floor((z + reach - table.origin[2]) * inverse)))
+    for i in range(low0, high0 + 1):
+        for j in range(low1, high1 + 1):
+            row = (i * shape[1] + j) * shape[2]
+            for at in range(table.start[row + low2] if high2 >= low2 else 0, table.start[row + high2 + 1] if high2 >= low2 else 0):
+                px = float(table.points[at, 0])
+                py = float(table.points[at, 1])
+                pz = float(table.points[at, 2])
+                if (px - x) ** 2 + (py - y) ** 2 + (pz - z) ** 2 > reach * reach:
+                    continue
+                dx = px - pose[0, 3]
+                dy = py - pose[1, 3]
+                dz = pz - pose[2, 3]
+                d = grid_distance(
+                    shapes,
+                    b,
+                    pose[0, 0] * dx + pose[1, 0] * dy + pose[2, 0] * dz,
+                    pose[0, 1] * dx + pose[1, 1] * dy + pose[2, 1] * dz,
+                    pose[0, 2] * dx + pose[1, 2] * dy + pose[2, 2] * dz,
+                )
+                best = min(best, d)
+                if d < radius:
+                    heaviest = max(heaviest, float(table.weights[at]))
+                    if heaviest >= top:
+                        return best, heaviest
+    return best, heaviest
+
+
+@inline_kernel
 def touched_patches(
     shapes: Any, b: Any, pose: Any, table: Any, x: Any, y: Any, z: Any, reach: Any, radius: Any, marks: Any, mark: Any
 ) -> Any:

@@ -31,7 +31,8 @@ class World(NamedTuple):
         zone: distance of the tool from the sphere's centre within which that holds.
         anchors: (A, n) configurations (start, goals) that have less clearance than the margin, anchor_need: (A,) what is required at
             them; the requirement grows by `slope` [m/rad] with the distance from them until it is the margin again.
-        leaf_mode: BINARY or GRADED.
+        leaf_mode: BINARY (the intensity is the largest permeability cost touched) or GRADED.
+        leaf_top: largest permeability cost of any leaf point.
     """
 
     fields: Fields
@@ -47,6 +48,7 @@ class World(NamedTuple):
     anchor_need: Array
     slope: float
     leaf_mode: int
+    leaf_top: float
 
 
 def empty_world(fields: Fields, n: int, **values: Any) -> World:
@@ -66,6 +68,7 @@ def empty_world(fields: Fields, n: int, **values: Any) -> World:
         "anchor_need": np.zeros(0),
         "slope": 0.02,
         "leaf_mode": BINARY,
+        "leaf_top": 1.0,
     }
     return World(**(parts | values))
 
@@ -83,14 +86,13 @@ def required_clearance(world: World, q: Array) -> float:
 
 
 @inline_kernel
-def hard_distance(world: Any, b: Any, x: Any, y: Any, z: Any) -> Any:
-    """Distance from a place to the keep-out boxes, the floor (but for body 0) and out of the workspace box [m]."""
+def hard_distance(world: Any, x: Any, y: Any, z: Any) -> Any:
+    """Distance from a place to the keep-out boxes, the floor and out of the workspace box [m]."""
     best = CAP_M
     for k in range(world.boxes.shape[0]):
         best = min(best, box_distance(world.boxes[k], x, y, z))
-    if b > 0:
-        best = min(best, z - world.floor_z)
-        best = min(best, x - world.workspace[0, 0], world.workspace[1, 0] - x)
-        best = min(best, y - world.workspace[0, 1], world.workspace[1, 1] - y)
-        best = min(best, z - world.workspace[0, 2], world.workspace[1, 2] - z)
+    best = min(best, z - world.floor_z)
+    best = min(best, x - world.workspace[0, 0], world.workspace[1, 0] - x)
+    best = min(best, y - world.workspace[0, 1], world.workspace[1, 1] - y)
+    best = min(best, z - world.workspace[0, 2], world.workspace[1, 2] - z)
     return best
