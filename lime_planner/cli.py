@@ -42,8 +42,9 @@ COMMANDS = (
     Command(("experiment", "wall"), "lime_planner.experiments.wall", "the paper's experiment on the plane", "--trials 20 --out wall"),
     Command(("experiment", "lime"), "lime_planner.experiments.lime", "the paper's experiment with the arm", "--trials 20 --out lime"),
     Command(("experiment", "damage"), "lime_planner.experiments.damage", "leaves that the arm really touches", "--plants 2 --out damage"),
-    Command(("bench", "kernels"), "lime_planner.experiments.kernels", "time of the compiled kernels"),
-    Command(("bench", "peers"), "lime_planner.experiments.peers", "time and cost against other planners"),
+    Command(("bench", "kernels"), "lime_planner.experiments.bench_kernels", "time of the compiled kernels"),
+    Command(("bench", "planners"), "lime_planner.experiments.bench_planners", "the default planner against the paper's", "--out planners"),
+    Command(("bench", "peers"), "lime_planner.experiments.bench_peers", "the default planner against OMPL and others", "--out peers"),
 )
 
 GROUPS = {"scene": "make, obtain and inspect scenes", "experiment": "the paper's tables and figures", "bench": "measurements"}

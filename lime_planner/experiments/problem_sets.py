@@ -8,6 +8,7 @@ from __future__ import annotations
 import zlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
@@ -34,6 +35,23 @@ class Refused:
 
     key: str
     reason: str
+
+
+def scan_specs(folder: Path) -> list[SceneSpec]:
+    """The scans (.npz) in a folder, by name.
+
+    Raises:
+        ParameterError: there is none.
+    """
+    paths = sorted(folder.glob("*.npz"))
+    if not paths:
+        raise ParameterError(f"{folder} holds no scan (.npz); `lime-planner scene tomatowur` obtains some")
+    return [SceneSpec.scan(path) for path in paths]
+
+
+def plant_specs(names: Sequence[str]) -> list[SceneSpec]:
+    """Generated plants from their names, DENSITY:SEED."""
+    return [SceneSpec.plant(name) for name in names]
 
 
 def _seed(name: str, what: str) -> np.random.Generator:
