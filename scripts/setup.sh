@@ -31,7 +31,7 @@ fi
 
 # What the set-up depends on: when none of it has changed, nothing is to be done.
 wanted=$(
-  sha256sum setup.py setup.cfg pyproject.toml package.xml scripts/setup.sh | sha256sum | cut -c1-32
+  sha256sum setup.py setup.cfg pyproject.toml package.xml scripts/* | sha256sum | cut -c1-32
   printf '%s\n' "$root" "ros: $ros"
 )
 right_version() { "$1" -c 'import sys; sys.exit(sys.version_info[:2] not in ((3, 11), (3, 12)))' >/dev/null 2>&1; }
@@ -143,22 +143,28 @@ fi
 
 # --- Dependencies and the package --------------------------------------------------------------------------------------------
 extras=experiments,test,colcon
-if [[ $ros == wheels ]]; then
-  extras=ros,$extras
-  unset PYTHONPATH
-else
-  say "ROS 2 Jazzy is sourced: its packages are used, no ROS wheels are installed"
-fi
-say "installing the package and its dependencies (about 0.6 GB to download, 2.2 GB on disk)"
 log=$venv/setup.log
-# Only what takes long is shown: the large downloads, and the unpacking.
-if ! "$venv/bin/python" -m pip --disable-pip-version-check install --progress-bar off --editable ".[$extras]" 2>&1 | tee "$log" |
-  sed -unE -e 's/^ *Downloading ([^ ]*\/)?([A-Za-z0-9_]+)-[^ ]* (\([0-9]{2,}\.[0-9] MB\)).*/setup:   downloading \2 \3/p' \
-    -e 's/^Installing collected packages.*/setup:   unpacking/p'; then
+: >"$log"
+install() {
+  # Only what takes long is shown: the large downloads, and the unpacking.
+  "$venv/bin/python" -m pip --disable-pip-version-check install --progress-bar off "$@" 2>&1 | tee -a "$log" |
+    sed -unE -e 's/^ *Downloading ([^ ]*\/)?([A-Za-z0-9_]+)-[^ ]* (\([0-9]{2,}\.[0-9] MB\)).*/setup:   downloading \2 \3/p' \
+      -e 's/^Installing collected packages: .*,.*/setup:   unpacking/p' && return
   tail -n 15 "$log" >&2
   fail "pip could not install the dependencies; its last lines are above, the whole of it in $log." \
     "Without a network nothing can be downloaded; behind a mirror set PIP_INDEX_URL." \
     "Then run this again: what was downloaded is kept in pip's cache."
+}
+if [[ $ros == wheels ]]; then
+  unset PYTHONPATH
+  say "installing the package and its dependencies (about 0.6 GB to download, 2.2 GB on disk)"
+  install --editable ".[ros,$extras]"
+else
+  say "ROS 2 Jazzy is sourced: its packages are used, no ROS wheels are installed"
+  say "installing the package and its other dependencies (about 0.5 GB to download, 2 GB on disk)"
+  install --no-deps --editable .
+  "$venv/bin/python" scripts/requirements_beside_ros.py "$extras" >"$venv/requirements.txt"
+  install --requirement "$venv/requirements.txt"
 fi
 rm -f "$partial"
 printf '%s\n' "$wanted" >"$stamp"

@@ -22,11 +22,10 @@ SCRIPTS = ("lime-planner", "mock_arm_node", "planner_node", "scene_node")
 IMPORT_NAMES = {"pin": "pinocchio", "python_fcl": "fcl", "open3d_cpu": "open3d", "pyyaml": "yaml"}
 #: In setup.py without being imported: data.
 DATA_ONLY = {"example_robot_data"}
-#: Imported, and a part of another requirement: of Numba; of a peer that is measured where it is installed.
-BROUGHT_ALONG = {"llvmlite", "ompl"}
+#: Imported, and a part of another requirement: of Numba, of Pinocchio; a peer that is measured where it is installed.
+BROUGHT_ALONG = {"llvmlite", "coal", "ompl"}
 #: rosdep key by import name, where a library has one.
 ROSDEP_KEYS = {
-    "coal": "coal",
     "fcl": "python-fcl-pip",
     "open3d": "python3-open3d-pip",
     "pinocchio": "pinocchio",
@@ -84,7 +83,7 @@ def test_rosdep_keys_match() -> None:
     libraries = {ROSDEP_KEYS.get(name, f"python3-{name}") for name in requirements() - DATA_ONLY}
     used = imported_roots(ROOT / "lime_planner") | imported_roots(ROOT / "launch")
     messages = {root for root in used if is_ros(root) and root not in {"launch", "launch_ros", "ament_index_python"}}
-    assert manifest_depends() - {"launch", "launch_ros", "ros2launch", "ament_index_python"} == libraries | messages
+    assert manifest_depends() - {"launch", "launch_ros", "ros2launch", "ament_index_python"} == libraries | {"coal"} | messages
 
 
 def test_entry_points_exist() -> None:
