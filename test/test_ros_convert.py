@@ -116,7 +116,14 @@ def test_paths_and_poses() -> None:
 
 
 def test_status_messages_hold_text_only() -> None:
-    values = {"plan_id": 3, "cost": np.float32(1.5), "ok": np.bool_(True), "waypoints": np.eye(2), "none": None, "trajectory": {"dt_s": 0.02}}
+    values = {
+        "plan_id": 3,
+        "cost": np.float32(1.5),
+        "ok": np.bool_(True),
+        "waypoints": np.eye(2),
+        "none": None,
+        "trajectory": {"dt_s": 0.02},
+    }
     msg = status_message(Time(), "lime_planner", "arm", Phase.DONE, Status.SUCCEEDED, "SUCCEEDED: it is", values)
     pairs = read_status(msg)
     assert pairs["phase"] == "DONE"

@@ -49,7 +49,7 @@ def _client(address: str) -> Any:
     from distributed import Client
 
     try:
-        return Client(address, timeout=CONNECT_TIMEOUT_S, set_as_default=False)  # type: ignore[no-untyped-call]
+        return Client(address, timeout=CONNECT_TIMEOUT_S, set_as_default=False)
     except (OSError, TimeoutError, ValueError) as error:
         raise ParameterError(f"--scheduler {address}: no Dask scheduler answers there ({error or type(error).__name__})") from error
 
@@ -86,7 +86,7 @@ def run_on_cluster(
 
     with _client(scheduler) as client, progress_bar(description, len(tasks), console or Console(stderr=True)) as advance:
         hand = _Hand(client, function, tasks)
-        running: Any = as_completed(hand.out())  # type: ignore[no-untyped-call]
+        running: Any = as_completed(hand.out(), loop=client.loop)
         try:
             for future in running:
                 result, again = hand.back(future)
