@@ -16,7 +16,10 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from ros_fakes import JOINTS, START, cloud
 from ros_harness import Bench, Program, program
 from sensor_msgs.msg import PointCloud2
+from std_msgs.msg import String
 from std_srvs.srv import Trigger
+
+from lime_planner.ros import qos
 
 DOMAIN = 60 + os.getpid() % 40
 FORTH = [0.3, 0.0, 0.4, 0.0, 0.0, 0.0, 1.0]
@@ -309,7 +312,7 @@ def test_a_best_effort_camera_is_heard(bench: Bench) -> None:
 
 def test_requests_wait_for_the_warm_up_and_others_do_not() -> None:
     domain = DOMAIN + 1
-    with program(["test/fake_planner.py"], domain, "serving", FAKE_WARM_UP_S="4.0"):
+    with program(["test/fake_planner.py"], domain, "serving", FAKE_WARM_UP_S="9.0"):
         bench = Bench(JOINTS, START, domain=domain)
         try:
             assert code_of(bench.call("plan").message) == "NO_TARGET"
@@ -329,6 +332,29 @@ def test_requests_wait_for_the_warm_up_and_others_do_not() -> None:
             assert time.monotonic() - began < 0.2
             assert code_of(bench.result(waiting).message) == "CANCELLED"
             assert bench.call("plan").success
+        finally:
+            bench.close()
+
+
+def test_the_robot_comes_from_its_topic_and_time_may_be_simulated() -> None:
+    domain = DOMAIN + 1
+    arguments = ["test/fake_planner.py", "--ros-args", "-p", "robot:=topic", "-p", "use_sim_time:=true", "-p", "warm_up_timeout_s:=0.2"]
+    with program(arguments, domain, "serving"):
+        bench = Bench(JOINTS, START, domain=domain)
+        try:
+            bench.call("stop")
+            bench.wait(lambda: bench.target.get_subscription_count() > 0, 5.0, "the planner's subscription")
+            bench.send_clouds(None, cloud(10))
+            bench.send_target(FORTH)
+            bench.wait(lambda: bench.received("grasp_target") and bench.received("stem_cloud"), 5.0, "the target")
+            assert bench.call("plan").message.startswith("NOT_READY: waiting for robot_description")
+            bench.set(warm_up_timeout_s=20.0)
+            description = bench.node.create_publisher(String, "robot_description", qos.LATCHED)
+            waiting = bench.call_async("plan")
+            description.publish(String(data="<robot name='fake'/>"))
+            response = bench.result(waiting)
+            assert response.success, response.message
+            assert execution_code(bench, plan_id(response.message)) == "SUCCEEDED"
         finally:
             bench.close()
 

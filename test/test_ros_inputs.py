@@ -122,6 +122,16 @@ class TestJoints:
         assert inputs.joints.fresh(0.3).q.tolist() == [1.0, 2.0, 3.0]
         assert inputs.joints.refused == 2
 
+    def test_states_from_before_the_arm_was_known_are_read_again(self) -> None:
+        inputs = Inputs(lambda: NOW_S, print)
+        for k in range(3):
+            inputs.on_joint_state(JointState(name=["finger", *JOINTS], position=[0.0, float(k), 2.0, 3.0]))
+        inputs.on_joint_state(JointState(name=["other"], position=[0.0]))
+        assert inputs.joints.newest is None
+        inputs.set_joints(JOINTS)
+        assert inputs.joints.fresh(0.3).q.tolist() == [2.0, 2.0, 3.0]
+        assert (inputs.joints.received, inputs.joints.foreign) == (4, 1)
+
     def test_a_good_state_outlives_bad_ones_only_for_a_while(self) -> None:
         history = JointHistory()
         history.add(arm_state(1.0, time.monotonic() - 0.2))

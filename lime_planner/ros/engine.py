@@ -161,7 +161,7 @@ class Engine:
                 self._condition.wait_for(lambda: self._closed or self._description is not None)
                 if self._closed:
                     return
-                urdf, self._description = self._description, None
+                urdf, self._description, self._failure = self._description, None, ""
             self._load(urdf)
 
     def _load(self, urdf: str | None) -> None:
@@ -187,9 +187,9 @@ class Engine:
         while not self._closed:
             with self._in_use:
                 if self._may_exchange():
+                    self._on_loaded(loaded)
                     with self._condition:
                         self._loaded, self._failure, self._warm, self.state = loaded, "", False, "compiling the kernels"
-                    self._on_loaded(loaded)
                     return True
             time.sleep(0.05)
         return False

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import threading
 import time
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -24,6 +25,10 @@ from lime_planner.status import Status
 
 #: Inputs that carry points, in the order in which they are reported.
 CLOUDS = ("leaf_cloud", "stem_cloud", "labelled_cloud")
+
+
+#: Joint states kept as they came, for an arm that becomes known later.
+_RECENT_STATES = 50
 
 
 @dataclass(frozen=True)
@@ -161,13 +166,18 @@ class Inputs:
         self._ros_now_s = ros_now_s
         self._warn = warn
         self._reader: JointReader | None = None
+        self._recent: deque[tuple[JointState, float, float]] = deque(maxlen=_RECENT_STATES)
         self.slots = {name: Slot(name) for name in (*CLOUDS, "grasp_target")}
         self.joints = JointHistory()
 
     def set_joints(self, joint_names: tuple[str, ...]) -> None:
-        """Say which joints the arm has; what was measured for another arm is forgotten."""
+        """Say which joints the arm has; what was measured for another arm is forgotten, what came lately is read again."""
+        reader = JointReader(joint_names)
         self.joints.clear()
-        self._reader = JointReader(joint_names)
+        self._reader = reader
+        for state in [self._read(reader, msg, arrival_s, now_s) for msg, arrival_s, now_s in list(self._recent)]:
+            if state is not None:
+                self.joints.add(state, counted=True)
 
     def on_cloud(self, name: str, msg: PointCloud2) -> None:
         """Take in a cloud."""
@@ -184,20 +194,31 @@ class Inputs:
 
     def on_joint_state(self, msg: JointState) -> ArmState | None:
         """Take in a joint state; return it when it can be used."""
-        arrival_s = time.monotonic()
-        if self._reader is None or not self._reader.concerns_the_arm(msg):
+        arrival_s, now_s, reader = time.monotonic(), self._ros_now_s(), self._reader
+        self._recent.append((msg, arrival_s, now_s))
+        if reader is None or not reader.concerns_the_arm(msg):
             self.joints.skip()
             return None
         try:
-            q = self._reader.configuration(msg)
+            state = self._read(reader, msg, arrival_s, now_s, strict=True)
         except Refusal as error:
             if self.joints.refuse(arrival_s, str(error)):
                 self._warn(str(error))
             return None
-        stamp, now_s = stamp_s(msg.header.stamp), self._ros_now_s()
-        state = ArmState(q, arrival_s, stamp, now_s - stamp if stamp > 0.0 and now_s > 0.0 else 0.0)
-        self.joints.add(state)
+        if state is not None:
+            self.joints.add(state)
         return state
+
+    @staticmethod
+    def _read(reader: JointReader, msg: JointState, arrival_s: float, now_s: float, *, strict: bool = False) -> ArmState | None:
+        try:
+            q = reader.configuration(msg)
+        except Refusal:
+            if strict:
+                raise
+            return None
+        stamp = stamp_s(msg.header.stamp)
+        return ArmState(q, arrival_s, stamp, now_s - stamp if stamp > 0.0 and now_s > 0.0 else 0.0)
 
     def target(self, max_age_s: float, max_ahead_s: float) -> Target:
         """Return the newest target.

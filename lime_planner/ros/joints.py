@@ -58,10 +58,11 @@ class JointHistory:
         self.refused = 0
         self.foreign = 0
 
-    def add(self, state: ArmState) -> None:
-        """Take in a valid state."""
+    def add(self, state: ArmState, *, counted: bool = False) -> None:
+        """Take in a valid state; `counted` tells that it was received, and skipped, before."""
         with self._condition:
-            self.received += 1
+            self.received += not counted
+            self.foreign -= counted
             self._states.append(state)
             while self._states and self._states[0].arrival_s < state.arrival_s - HISTORY_S:
                 self._states.popleft()
