@@ -28,6 +28,13 @@ class Estimate:
         return f"{scale * self.value:.{digits}f} ({scale * self.low:.{digits}f} to {scale * self.high:.{digits}f})"
 
 
+def median(values: Array) -> float:
+    """The median, also of ratios of which some are infinite."""
+    ordered = np.sort(values)
+    low, high = ordered[(len(ordered) - 1) // 2], ordered[len(ordered) // 2]
+    return float(low if low == high else 0.5 * (low + high))
+
+
 def _percentiles(values: Array) -> tuple[float, float]:
     # Infinite values (a ratio to nothing) are ordered like others, not interpolated with.
     low, high = np.quantile(np.sort(values), (0.025, 0.975), method="nearest")

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from lime_planner.experiments.bootstrap import Estimate, by_cluster
+from lime_planner.experiments.bootstrap import Estimate, by_cluster, median
 from lime_planner.experiments.damage_trials import LABELS
 from lime_planner.experiments.wall_report import markdown_table
 
@@ -67,7 +67,7 @@ def median_ratio(trials: Trials, method: str, other: str, name: str) -> Estimate
         a, b = figure(trial, method, name), figure(trial, other, name)
         return a / b if b > 0.0 else 1.0 if a == 0.0 else math.inf
 
-    return by_cluster(by_plant(trials, row), lambda x: float(np.quantile(x, 0.5, method="averaged_inverted_cdf")))
+    return by_cluster(by_plant(trials, row), median)
 
 
 def _values(trials: Trials, method: str, name: str) -> Array:
