@@ -142,7 +142,7 @@ fi
 : >"$partial"
 
 # --- Dependencies and the package --------------------------------------------------------------------------------------------
-extras=experiments,test,colcon
+extras=experiments,cluster,bench,test,colcon
 log=$venv/setup.log
 : >"$log"
 install() {

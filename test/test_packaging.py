@@ -22,8 +22,10 @@ SCRIPTS = ("lime-planner", "mock_arm_node", "planner_node", "scene_node")
 IMPORT_NAMES = {"pin": "pinocchio", "python_fcl": "fcl", "open3d_cpu": "open3d", "pyyaml": "yaml"}
 #: In setup.py without being imported: data.
 DATA_ONLY = {"example_robot_data"}
-#: Imported, and a part of another requirement: of Numba, of Pinocchio; a peer that is measured where it is installed.
-BROUGHT_ALONG = {"llvmlite", "coal", "ompl"}
+#: Imported, and a part of another requirement (of Numba, of Pinocchio), or a peer that is compared with where somebody installed it.
+BROUGHT_ALONG = {"llvmlite", "coal", "pyroboplan"}
+#: Extras whose libraries the package imports.
+EXTRAS = ("experiments", "cluster", "bench")
 #: rosdep key by import name, where a library has one.
 ROSDEP_KEYS = {
     "fcl": "python-fcl-pip",
@@ -76,7 +78,8 @@ def test_maintainer_has_an_address_that_colcon_accepts() -> None:
 
 def test_every_library_imported_is_required_and_none_else() -> None:
     imported = {root for root in imported_roots(ROOT / "lime_planner") if not is_ros(root)}
-    assert imported - BROUGHT_ALONG == (requirements() | requirements("experiments")) - DATA_ONLY
+    required = requirements().union(*map(requirements, EXTRAS))
+    assert imported - BROUGHT_ALONG == required - DATA_ONLY
 
 
 def test_rosdep_keys_match() -> None:
