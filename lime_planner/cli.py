@@ -50,7 +50,7 @@ COMMANDS = (
 GROUPS = {"scene": "make, obtain and inspect scenes", "experiment": "the paper's tables and figures", "bench": "measurements"}
 
 #: The extra of the package that brings a library.
-_EXTRAS = {"rclpy": "ros", "pingouin": "experiments", "pandas": "experiments", "distributed": "cluster"}
+_EXTRAS = {"rclpy": "ros", "pingouin": "experiments", "pandas": "experiments", "distributed": "cluster", "ompl": "bench"}
 
 _EXAMPLES = """\
 examples:
@@ -118,16 +118,16 @@ def _fill(parser: argparse.ArgumentParser, module: ModuleType, command: Command)
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command and return its exit status: 0 for success, 1 with `CODE: sentence` on standard error, 2 for wrong usage."""
     arguments = list(sys.argv[1:] if argv is None else argv)
-    parser = build_parser(arguments)
-    args = parser.parse_args(arguments)
+    debug = "--debug" in arguments
     try:
+        args = build_parser(arguments).parse_args(arguments)
         return int(args.run(args))
     except LimePlannerError as error:
-        if args.debug:
+        if debug:
             traceback.print_exc()
         print(getattr(error, "status", Status.BAD_INPUT).message(str(error)), file=sys.stderr)
     except ModuleNotFoundError as error:
-        if args.debug:
+        if debug:
             traceback.print_exc()
         root = (error.name or "").split(".")[0]
         advice = f"; pip install 'lime_planner[{_EXTRAS[root]}]' brings it" if root in _EXTRAS else ""
@@ -139,7 +139,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         # The reader of our output has gone (`| head`): nobody is left to tell.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     except Exception as error:
-        if args.debug:
+        if debug:
             traceback.print_exc()
         text = " ".join(str(error).split()) or "no text"
         print(Status.INTERNAL_ERROR.message(f"{type(error).__name__}: {text} (--debug prints where)"), file=sys.stderr)
