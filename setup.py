@@ -32,7 +32,7 @@ EXTRAS_REQUIRE = {
     # ROS 2 Jazzy as wheels, for machines without a ROS installation; never together with /opt/ros.
     "ros": ["ros-jazzy-rclpy[fastrtps]>=7.1", "ros-jazzy-common-interfaces>=5.3"],
     # The statistics of `lime-planner experiment`; its trials on other machines; the planners that `lime-planner bench` compares with.
-    "experiments": ["pingouin>=0.5.4", "pandas>=2.0"],
+    "experiments": ["pingouin>=0.7", "pandas>=2.3,<4"],
     "cluster": ["distributed>=2024.1"],
     "bench": ["ompl>=2.0"],
     # launch_testing's pytest plugin breaks on pytest 9.

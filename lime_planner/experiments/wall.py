@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import importlib.util
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -28,11 +29,14 @@ def run_wall(options: WallOptions, out: Path, *, jobs: int | None = None, resume
 
     Raises:
         ParameterError: the folder holds an earlier run that may not or cannot be continued.
+        ModuleNotFoundError: pingouin is not installed (extra `experiments`).
     """
     from lime_planner.experiments.runner import default_jobs, write_atomically
     from lime_planner.experiments.wall_report import statistics_text, table_text
     from lime_planner.experiments.wall_trials import collect
 
+    if importlib.util.find_spec("pingouin") is None:  # before the trials, not after them
+        raise ModuleNotFoundError("the experiment's statistics need pingouin", name="pingouin")
     out.mkdir(parents=True, exist_ok=True)
     results, complete = collect(options, out / "results.json", jobs=jobs or default_jobs(), resume=resume)
     write_atomically(out / "table.md", table_text(results))
