@@ -27,7 +27,7 @@ SMALL = DamageOptions(plants=1, limes=1, densities=("medium",), iterations=400, 
 
 def without_times(value: Any) -> Any:
     if isinstance(value, dict):
-        return {k: without_times(v) for k, v in value.items() if k != "planning_time_s"}
+        return {k: without_times(v) for k, v in value.items() if k not in ("planning_time_s", "planning_cpu_s")}
     return [without_times(v) for v in value] if isinstance(value, list) else value
 
 

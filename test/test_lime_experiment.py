@@ -17,8 +17,19 @@ from lime_planner.experiments.lime_figure import simulation_figure
 from lime_planner.experiments.lime_report import cells_of, failures, overall, quantity, ranking, ratio, table_text
 from lime_planner.experiments.lime_scenes import examine, find_scenes
 from lime_planner.experiments.lime_trials import (
-    ALGORITHMS, FIXED, VARIANTS, LimeOptions, Task, box_of, goals_of, obstacles_of, plan_of, plan_trial, run_trial, space_of,
-)  # fmt: skip
+    ALGORITHMS,
+    FIXED,
+    VARIANTS,
+    LimeOptions,
+    Task,
+    box_of,
+    goals_of,
+    obstacles_of,
+    plan_of,
+    plan_trial,
+    run_trial,
+    space_of,
+)
 from lime_planner.experiments.problems import pipeline_of, scene_of
 from lime_planner.experiments.swept_leaves import LeafTruth
 from lime_planner.robot.model import home
@@ -85,7 +96,9 @@ def test_a_trial_repeats_and_its_costs_add_up(run: Any) -> None:
     for trial in solved:
         assert trial["cost"] == pytest.approx(trial["length"] + 100.0 * trial["nodes_inside"], abs=1e-3)
         assert trial["J"] is None or trial["J"] > trial["length"]
-    task = next(task for task in plan.tasks if task.key[2:] == (solved[0]["algorithm"], solved[0]["trial"]) and task.key[0] == solved[0]["plant"])
+    task = next(
+        task for task in plan.tasks if task.key[2:] == (solved[0]["algorithm"], solved[0]["trial"]) and task.key[0] == solved[0]["plant"]
+    )
     again = run_trial(task)
     assert {k: v for k, v in again.items() if k != "time_s"} == {k: v for k, v in solved[0].items() if k != "time_s"}
     space, goals = space_of(task)
@@ -105,7 +118,9 @@ def test_tables_and_figure(run: Any, tmp_path: Path) -> None:
 
 def made_up(costs: dict[str, list[float | None]], plant: int) -> list[dict[str, Any]]:
     return [
-        {"plant": plant, "variant": FIXED, "algorithm": a, "trial": i, "cost": c, "J": c} for a, row in costs.items() for i, c in enumerate(row)
+        {"plant": plant, "variant": FIXED, "algorithm": a, "trial": i, "cost": c, "J": c}
+        for a, row in costs.items()
+        for i, c in enumerate(row)
     ]
 
 

@@ -55,8 +55,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--densities", nargs="+", metavar="NAME", help="foliage: sparse, medium, dense (default: all three)")
     parser.add_argument("--scans", type=Path, metavar="DIR", help="folder of labelled scans (.npz) to run on as well")
     parser.add_argument("--scan-targets", type=int, default=8, metavar="N", help="places in each scan (default: %(default)s)")
-    parser.add_argument("--time", type=float, default=0.5, metavar="S", help="search budget of every method [s] (default: %(default)s)")
-    parser.add_argument("--iterations", type=int, default=0, metavar="N", help="budget in iterations instead: the same results every time")
+    budget = parser.add_mutually_exclusive_group()
+    budget.add_argument("--time", type=float, default=0.5, metavar="S", help="search budget of every method [s] (default: %(default)s)")
+    words = "a fixed number of iterations for each method instead, as many as 0.5 s allow: the same results every time"
+    budget.add_argument("--repeatable", action="store_true", help=words)
+    budget.add_argument("--iterations", type=int, default=0, metavar="N", help="one budget in iterations for every method instead")
     parser.add_argument(
         "--methods", nargs="+", metavar="NAME[:PARAMETER=VALUE,...]", help="solid, ignored, apf_rrt_star, binary, graded (default: all)"
     )
@@ -81,6 +84,7 @@ def run(args: argparse.Namespace) -> int:
         seed=args.seed,
         time_s=args.time,
         iterations=args.iterations,
+        repeatable=args.repeatable,
         **lists,
     )
     figures = not args.no_figures

@@ -94,7 +94,7 @@ def plants_table(results: dict[str, Any], density: str) -> str:
                 f"{_cell(leaves, 2)} (median {_cell(leaves, 0, np.median)})",
                 _cell(excess, 2),
                 _cell(_values(trials, method, "area_cm2"), 1),
-                _cell(np.array([t["methods"][method]["planning_time_s"] for t in trials]), 2, np.median),
+                _cell(np.array([t["methods"][method]["planning_cpu_s"] for t in trials]), 2, np.median),
                 _cell(_values(trials, method, "duration_s"), 1, np.median),
                 _cell(_values(trials, method, "path_length_rad"), 1, np.median),
             ]
@@ -114,7 +114,7 @@ def scans_table(results: dict[str, Any]) -> str:
                 f"{sum(succeeded(t, method) for t in trials)} of {len(trials)}",
                 *(_cell(_values(trials, method, name), 3) for name in ("tool_leaf_contact_m", "leaf_contact_rad")),
                 _cell(_values(trials, method, "area_cm2"), 1),
-                _cell(np.array([t["methods"][method]["planning_time_s"] for t in trials]), 2, np.median),
+                _cell(np.array([t["methods"][method]["planning_cpu_s"] for t in trials]), 2, np.median),
                 _cell(_values(trials, method, "duration_s"), 1, np.median),
             ]
         )
@@ -163,6 +163,8 @@ def table_text(results: dict[str, Any]) -> str:
     """Return the contents of `table.md`."""
     options = results["options"]
     budget = f"{options['iterations']} iterations" if options["iterations"] else f"{options['time_s']:g} s of search"
+    if options["repeatable"]:
+        budget = "iterations: " + ", ".join(f"{label(m)} {options['repeatable'][m.partition(':')[0]]}" for m in options["methods"])
     trials = [t for t in results["trials"] if t["density"] != "scan"]
     without = sum(t["target"] is None for t in trials)
     lines = ["# Leaves really touched", ""]
@@ -175,6 +177,7 @@ def table_text(results: dict[str, Any]) -> str:
     lines.append(
         "Leaves: whose triangles the arm's meshes cut along the executed trajectory. Least: at the goal configuration that cuts fewest."
     )
+    lines.append("Planning: CPU seconds of the whole plan, median, failures included.")
     lines += ["Ratios: medians over the grasps that both methods carried out, 95 % bootstrap interval over plants.", ""]
     for density in [d for d in (ALL, *options["densities"]) if graspable(results, d)]:
         lines += [f"## {density.capitalize()}", "", plants_table(results, density), ""]
