@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+import pytest
+from builtin_interfaces.msg import Time
 
 from lime_planner.errors import ProblemError
 from lime_planner.motion.trajectory import Trajectory
 from lime_planner.ros.clouds import encode_cloud
 from lime_planner.ros.engine import Loaded
+from lime_planner.ros.refusal import Refusal
 from lime_planner.status import Status
 
 JOINTS = ("j1", "j2", "j3")
@@ -121,4 +125,22 @@ def cloud(count: int, frame_id: str = "base", seed: int = 0, **columns: np.ndarr
     """A cloud of random points in a box beside the base."""
     msg = encode_cloud(np.random.default_rng(seed).uniform(0.3, 0.6, (count, 3)), columns)
     msg.header.frame_id = frame_id
+    return msg
+
+
+def never() -> bool:
+    """A `should_stop` that lets everything run."""
+    return False
+
+
+def refusal_of(call: Callable[[], object]) -> tuple[Status, str]:
+    """The code and the sentence with which a call is refused."""
+    with pytest.raises(Refusal) as caught:
+        call()
+    return caught.value.status, str(caught.value)
+
+
+def stamped(msg: Any, stamp_s: float) -> Any:
+    """The message with another stamp."""
+    msg.header.stamp = Time(sec=int(stamp_s), nanosec=int(stamp_s % 1.0 * 1e9))
     return msg

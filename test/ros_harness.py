@@ -270,3 +270,23 @@ def program(arguments: Sequence[str], domain: int, ready: str | None = None, *, 
         code = running.end()
     assert code == 0, f"ended with {code}:\n{running.output}"
     assert running.output.count("Traceback") == defects, running.output
+
+
+def code_of(message: str) -> str:
+    """The code of an answer."""
+    return message.split(":")[0]
+
+
+def plan_id(message: str) -> int:
+    """The request that an answer belongs to."""
+    return int(message.split("plan_id ")[1].split(",")[0].rstrip("]"))
+
+
+def execution_code(bench: Bench, number: int, timeout_s: float = 6.0) -> str:
+    """Wait for the end of a motion and return its code."""
+
+    def ended() -> list[dict[str, str]]:
+        return [status for status in list(bench.statuses) if status["plan_id"] == str(number) and "execution_code" in status]
+
+    bench.wait(ended, timeout_s, f"end of motion {number}")
+    return ended()[-1]["execution_code"]

@@ -112,6 +112,7 @@ class PlannerNode(Node):
         if self.execution.stop(Status.CANCELLED, "the planner node shuts down"):
             self._command.wait_for_all_acked(Duration(seconds=0.2))
         ended = [self.worker.close(), self.watch.close(), self.engine.close(0.5)]
+        self.desk.drain(0.5)
         self.threads_ended = all(ended)
 
     def _open_outputs(self) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 import traceback
 from collections.abc import Callable
 from functools import partial
@@ -23,6 +24,9 @@ from lime_planner.ros.requests import Requests
 from lime_planner.ros.status import Phase
 from lime_planner.ros.worker import Answer, Ticket, Worker
 from lime_planner.status import Status
+
+#: From a coroutine's end to its response on the wire [s], generously.
+_LEAVING_S = 0.03
 
 
 class Services:
@@ -56,6 +60,7 @@ class Services:
         self._board = board
         self._robot = robot
         self._log = log
+        self._waiting = 0
         # Reentrant: an unanswered request must not hold back the next one.
         options = {"qos_profile": qos.SERVICE, "callback_group": ReentrantCallbackGroup()}
         for name in ("plan", "preview", "execute", "retreat"):
@@ -98,9 +103,20 @@ class Services:
             if executor is not None:
                 executor.wake()  # it looks at waiting coroutines whenever it wakes
 
-        self._worker.submit(kind, job, on_answer)
-        result: tuple[Ticket, Answer] = await future
+        self._waiting += 1
+        try:
+            self._worker.submit(kind, job, on_answer)
+            result: tuple[Ticket, Answer] = await future
+        finally:
+            self._waiting -= 1
         return result
+
+    def drain(self, timeout_s: float) -> None:
+        """Give answers that are made the time to leave, while the executor still spins."""
+        deadline = time.monotonic() + timeout_s
+        while self._waiting and time.monotonic() < deadline:
+            time.sleep(0.005)
+        time.sleep(_LEAVING_S)
 
     def _stop(self, _request: Any, response: Any) -> Any:
         """Stop and cancel; the hold is sent from here, in the executor's thread, whatever the worker is doing."""
