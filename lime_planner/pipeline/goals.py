@@ -80,17 +80,20 @@ def find_goals(obstacles: Obstacles, checker: ExactChecker, T_base_tool: Array, 
     margin = obstacles.world.margin
     kept: list[tuple[float, Array, float]] = []
     hits: dict[str, int] = {}
+    widest = 0.0  # clearance of those that touch nothing and are too close all the same
     for q in ik.solutions:
         clear, own, leaf = measure(space, q)
         if clear < MODEL_ERROR_M or own < SELF_CLEARANCE_M:
             hit = checker.stem_hit(q)
             what = hit.what if hit is not None else "tight"
+            widest = widest if hit is not None else max(widest, min(clear, own))
             hits[what] = hits.get(what, 0) + 1
             continue
         rank = float(np.linalg.norm(q - q_start)) + (1.0 if leaf > 0.0 else 0.0)
         kept.append((rank, q, clear))
     if not kept:
         parts = ", ".join(f"{count} {_IN_WORDS[what]}" for what, count in sorted(hits.items()))
+        parts += f" ({1e3 * widest:.1f} mm at most)" if "tight" in hits else ""
         sentence = f"all {len(ik.solutions)} configurations that reach the target are blocked: {parts}"
         return Goals(none, none, np.zeros(0), Status.GOAL_IN_STEM, sentence, len(ik.solutions))
     kept.sort(key=lambda item: item[0])
