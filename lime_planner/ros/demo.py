@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 
 DEFAULT_SEED = 15
 _READY_TIMEOUT_S = 600.0  # compiling everything for the first time takes its while on a slow machine
+_REPEAT_S = 20.0  # no longer silence than this
 _TARGETS_TRIED = 80
 
 _EPILOG = """\
@@ -184,16 +185,16 @@ def _drive(args: argparse.Namespace, values: Mapping[str, Any], robot: Robot, sc
 
 def _wait_until_ready(client: DemoClient, check: Callable[[], None], clock: Clock) -> None:
     """Follow the planner's loading and compiling; it says in its health message how far it is."""
-    deadline, said = time.monotonic() + _READY_TIMEOUT_S, ""
+    began, said, due = time.monotonic(), "", 0.0
     while client.engine != "ready":
-        now = client.engine
-        if now and now != said:
-            said = now
-            first = " (up to two minutes the first time ever, a second or two later)" if "compil" in said else ""
-            clock.say(f"the planner is {said}{first}")
+        state, waited_s = client.engine, time.monotonic() - began
+        if state and (state != said or waited_s > due):
+            first = " (minutes the first time ever, a second or two later)" if "compil" in state else ""
+            clock.say(f"the planner is {'still ' if state == said else ''}{state}{first if state != said else ''}")
+            said, due = state, waited_s + _REPEAT_S
         if "cannot be loaded" in said or "failed" in said:
             raise DemoError(said, Status.BAD_INPUT)
-        if time.monotonic() > deadline:
+        if waited_s > _READY_TIMEOUT_S:
             raise DemoError(f"the planner was not ready after {_READY_TIMEOUT_S:g} s; it says: {said or 'nothing'}")
         check()
         time.sleep(0.05)
