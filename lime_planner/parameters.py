@@ -99,7 +99,7 @@ _TABLE = (
     Parameter("acceleration_scaling", 1.0, "Share of the joint acceleration limits that a motion may use.", "", 0.01, 1.0),
     Parameter("leaf_speed_scale", 1.0, "Share of the speed used where the arm touches leaves.", "", 0.05, 1.0),
     Parameter("trajectory_dt_s", 0.02, "Time grid of the trajectory.", "s", 0.01, 0.5),
-    Parameter("corner_tolerance_rad", 0.01, "How far the timed motion may cut the corners of the path, in joint space.", "rad", 0.0, 0.1),
+    Parameter("corner_tolerance_rad", 0.01, "How far the timed motion may cut the corners of the path, in joint space.", "rad", 0.0005, 0.1),
 )
 
 _NODE_TABLE = (

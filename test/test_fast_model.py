@@ -24,7 +24,7 @@ from lime_planner.space import evaluate
 
 ARMS = ("kinova_j2s6s200", "kinova_j2n6s300")
 SCENES = ("scan", "plant")
-COUNT = 3000
+COUNT = 2500
 MARGIN_M = 0.005
 
 
@@ -109,12 +109,12 @@ def test_stems(arm: str, name: str) -> None:
 def test_clearance_against_independent_distances(arm: str) -> None:
     rows, obstacles, _, fast, _, _, _ = case(arm, "scan")
     reference, every = Reference(robot_named(arm)), range(len(robot_named(arm).links))
-    chosen = np.flatnonzero((fast[:, 0] > -0.003) & (fast[:, 0] < 0.03))[:150]
+    chosen = np.flatnonzero((fast[:, 0] > -0.003) & (fast[:, 0] < 0.03))[:80]
     radius = obstacles.settings.stem_point_radius_m
     truth = np.array([reference.nearest(rows[i], obstacles.hard.astype(float), list(every), 0.06) for i in chosen]) - radius
     error = fast[chosen, 0] - truth
     print(f"\n{arm}: {len(chosen)} clearances against Open3D: {1e3 * error.min():.2f} to {1e3 * error.max():.2f} mm")
-    assert len(chosen) == 150
+    assert len(chosen) == 80
     assert error.max() < 0.004  # far from contact it may interpolate over a corner of the mesh
     close = truth < 0.02
     assert error[close].min() > -0.003

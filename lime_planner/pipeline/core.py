@@ -150,9 +150,7 @@ class Pipeline:
             if limit >= 0.0 and figures["leaf_contact_rad"] > limit:
                 sentence = f"the least leaf contact found is {figures['leaf_contact_rad']:.3f} rad, allowed are {limit:.3f} rad"
                 raise Stopped(Status.LEAF_BUDGET_EXCEEDED, sentence)
-            figures["trajectory"] = follow.timed_motion(
-                obstacles, checker, found.path, q, settings, clock, should_stop
-            )
+            figures["trajectory"] = follow.timed_motion(obstacles, checker, found.path, q, settings, clock, should_stop)
         except Stopped as stop:
             return refused(stop, **figures)
         sentence = (

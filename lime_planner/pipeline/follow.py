@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 from typing import Any
 
@@ -20,6 +21,8 @@ from lime_planner.status import Status
 
 Array = npt.NDArray[np.float64]
 
+_CLOSE_TOLERANCE_RAD = 0.001  # of corners, where the motion touched something with the tolerance of the settings
+
 
 def timed_motion(
     obstacles: Obstacles,
@@ -32,21 +35,28 @@ def timed_motion(
 ) -> Trajectory:
     """Time a path, hold it to the rules of the motion command, and check what comes out exactly.
 
+    A motion that touches something where it cuts a corner of the certified path is timed once more, closer to the path.
+
     Raises:
         Stopped: PATH_INVALID with the broken rules or the contact; CANCELLED.
     """
-    trajectory = make_trajectory(obstacles.robot, waypoints, obstacles, settings)
-    clock.lap("timing")
-    ask(should_stop)
-    broken = contract_violations(obstacles.robot, trajectory, q_measured, settings)
-    if broken:
-        raise Stopped(Status.PATH_INVALID, "; ".join(broken))
-    hit = hit_of(checker, trajectory.configurations(CERTIFIED_STEP_RAD), should_stop)
-    clock.lap("certificate")
-    ask(should_stop)
-    if hit is not None:
-        raise Stopped(Status.PATH_INVALID, f"the exact check refuses the timed motion: {hit}")
-    return trajectory
+    tolerances = [settings.corner_tolerance_rad]
+    if settings.corner_tolerance_rad > _CLOSE_TOLERANCE_RAD:
+        tolerances.append(_CLOSE_TOLERANCE_RAD)
+    hit: str | None = None
+    for tolerance in tolerances:
+        trajectory = make_trajectory(obstacles.robot, waypoints, obstacles, dataclasses.replace(settings, corner_tolerance_rad=tolerance))
+        clock.lap("timing")
+        ask(should_stop)
+        broken = contract_violations(obstacles.robot, trajectory, q_measured, settings)
+        if broken:
+            raise Stopped(Status.PATH_INVALID, "; ".join(broken))
+        hit = hit_of(checker, trajectory.configurations(CERTIFIED_STEP_RAD), should_stop)
+        clock.lap("certificate")
+        ask(should_stop)
+        if hit is None:
+            return trajectory
+    raise Stopped(Status.PATH_INVALID, f"the exact check refuses the timed motion: {hit}")
 
 
 def follow(
@@ -101,9 +111,7 @@ def follow(
     )
 
 
-def recheck(
-    obstacles: Callable[[], Obstacles], trajectory: Trajectory | None, q_measured: Array, settings: Settings
-) -> tuple[Status, str]:
+def recheck(obstacles: Callable[[], Obstacles], trajectory: Trajectory | None, q_measured: Array, settings: Settings) -> tuple[Status, str]:
     """Check a motion once more before it is carried out; see `Pipeline.recheck`."""
     if trajectory is None:
         return Status.NOTHING_TO_EXECUTE, "the plan has no motion"

@@ -25,7 +25,7 @@ Float32 = npt.NDArray[np.float32]
 LEAF_VOXEL_M = 0.004  # leaves are thinned to this: about the leaf points' own radius
 _BEYOND_REACH_M = 0.1
 _NO_FLOOR_M = -999.0
-_MEASURED_CLEARANCE_M = 0.05  # clearances are exact up to this when a path is measured
+_MEASURED_CLEARANCE_M = 0.05  # clearances are looked for up to this when a path is measured
 _MARGIN_SLOPE = 0.02  # m per rad: how fast the margin is regained on leaving a start or goal that has less
 
 

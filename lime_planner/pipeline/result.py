@@ -28,7 +28,7 @@ class PlanResult:
         n_collision_nodes: waypoints that touch leaves; leaf_contact_rad: length of the path in contact with leaves.
         tool_path_length_m, tool_leaf_contact_m: length of the tool's way, and of its part with leaf contact anywhere on the arm.
         min_stem_clearance_m: smallest distance between arm and stem points' surface along the path, points hidden by the exclusion
-            sphere left out; capped where everything is farther than 5 cm.
+            sphere left out; exact up to 2.5 cm, beyond that a lower bound, 0.5 without anything in reach.
         goal_error_m, goal_error_rad: tool pose at the end against the target.
         waypoints: (M, n) [rad]; trajectory: the timed motion, None where the path was refused before.
         tool_path: (K, 7) poses x y z qx qy qz qw in the planning frame; tool_leaf: (K,) leaf intensity there.

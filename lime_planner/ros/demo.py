@@ -9,23 +9,23 @@ import importlib.util
 import signal
 import time
 from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from lime_planner.errors import ParameterError
 from lime_planner.parameters import PARAMETERS, parse_assignment, settings_from
-from lime_planner.ros.demo_processes import DemoError
-from lime_planner.ros.demo_report import MOTION_TIMEOUT_S, Driven, report, verdict
+from lime_planner.ros.demo_processes import Corner, DemoError, Processes
+from lime_planner.ros.demo_report import MOTION_TIMEOUT_S, Columns, Driven, report, verdict
 from lime_planner.status import Status
 
 if TYPE_CHECKING:
     import numpy as np
     import numpy.typing as npt
 
-    from lime_planner.pipeline import Pipeline
     from lime_planner.robot.model import Robot
     from lime_planner.ros.demo_client import DemoClient
-    from lime_planner.ros.demo_processes import Processes
+    from lime_planner.ros.engine import Loaded
     from lime_planner.scene.scene import Scene
 
     Array = npt.NDArray[np.float64]
@@ -85,28 +85,32 @@ def run(args: argparse.Namespace) -> int:
         raise ParameterError("robot: the demo needs a built-in model or a URDF file")
     if importlib.util.find_spec("rclpy") is None:
         raise ModuleNotFoundError("the demo needs ROS 2", name="rclpy")
-    clock.say("loading the arm and the scene")
-    from lime_planner.pipeline import Pipeline
-    from lime_planner.robot.model import load_robot
+    from lime_planner.ros.engine import build
+    from lime_planner.scene.files import save_scene
 
-    robot = load_robot(settings.robot)
-    pipeline = Pipeline(robot)
-    scene = _scene(args, robot)
-    if scene.target_pose is None:
-        pipeline.warm_up()
-        clock.say("the scene has no target; looking for a place in its canopy that the arm can reach")
-        scene = _with_drawn_target(scene, robot, pipeline, planning)
+    clock.say("reading the scene" if args.scene else "growing a lime plant")
+    scene = _scene(args)
     args.out.mkdir(parents=True, exist_ok=True)
-    with _quick_end():
-        driven = _drive(args, values, robot, scene, clock)
-    comparisons = _compare(pipeline, robot, scene, planning, driven, clock)
-    picture = report(args, robot, scene, driven, comparisons)
+    corner = Corner.own()
+    arm = {"robot": settings.robot, "controller": args.controller}
+    with _quick_end(), Processes(corner, args.out / "logs") as nodes:
+        clock.say(f"starting planner_node and mock_arm_node in ROS domain {corner.domain}, namespace {corner.namespace}")
+        nodes.start("planner_node", "lime_planner.ros.planner_node", {**arm, **values})
+        nodes.start("mock_arm_node", "lime_planner.ros.mock_arm_node", arm)
+        loaded = build(settings, None)
+        scene = _complete(scene, loaded, planning, clock)
+        path = args.out / "scene.npz"
+        save_scene(path, scene)
+        clock.say("starting scene_node")
+        nodes.start("scene_node", "lime_planner.ros.scene_node", {"file": str(path.resolve())})
+        driven, comparisons = _drive(corner, nodes, loaded, scene, planning, clock)
+    picture = report(args, loaded.robot, scene, driven, comparisons)
     clock.say(f"picture: {picture}   figures: {args.out / 'demo.json'}   logs: {args.out / 'logs'}")
-    return verdict(robot, scene, driven)
+    return verdict(loaded.robot, scene, driven)
 
 
-def _scene(args: argparse.Namespace, robot: Robot) -> Scene:
-    """Load or grow the scene and put it where the options say."""
+def _scene(args: argparse.Namespace) -> Scene:
+    """Load or grow the scene and put it where the options say; its frame is empty where a file names none."""
     import numpy as np
 
     from lime_planner.scene.files import load_scene
@@ -115,13 +119,28 @@ def _scene(args: argparse.Namespace, robot: Robot) -> Scene:
     if args.scene is None:
         scene = generate_plant(np.random.default_rng(args.plant_seed))
     else:
-        scene = load_scene(args.scene, scale=args.scale, offset=args.offset, default_frame=robot.planning_frame)
-    if scene.frame_id != robot.planning_frame:
-        raise DemoError(f"the scene is in the frame {scene.frame_id!r}, the arm plans in {robot.planning_frame!r}", Status.TF_ERROR)
+        scene = load_scene(args.scene, scale=args.scale, offset=args.offset, default_frame="")
     return scene if args.target is None else dataclasses.replace(scene, target_pose=np.asarray(args.target))
 
 
-def _with_drawn_target(scene: Scene, robot: Robot, pipeline: Pipeline, planning: Mapping[str, Any]) -> Scene:
+def _complete(scene: Scene, loaded: Loaded, planning: Mapping[str, Any], clock: Clock) -> Scene:
+    """Give the scene what it lacks: the arm's frame, and a target among its leaves.
+
+    Raises:
+        DemoError: it is in another frame, or no drawn target can be reached.
+    """
+    frame = loaded.robot.planning_frame
+    scene = dataclasses.replace(scene, frame_id=scene.frame_id or frame)
+    if scene.frame_id != frame:
+        raise DemoError(f"the scene is in the frame {scene.frame_id!r}, the arm plans in {frame!r}", Status.TF_ERROR)
+    if scene.target_pose is None:
+        clock.say("the scene has no target; looking for a place in its canopy that the arm can reach")
+        loaded.pipeline.warm_up()
+        scene = _with_drawn_target(scene, loaded, planning)
+    return scene
+
+
+def _with_drawn_target(scene: Scene, loaded: Loaded, planning: Mapping[str, Any]) -> Scene:
     """Give a scan without fruit a target among its leaves: the first of some drawn ones to which a path is found."""
     import numpy as np
 
@@ -132,7 +151,7 @@ def _with_drawn_target(scene: Scene, robot: Robot, pipeline: Pipeline, planning:
     poses = canopy_targets(scene, np.random.default_rng(DEFAULT_SEED), _TARGETS_TRIED)
     settings = settings_from(planning)
     for pose in poses:
-        result = pipeline.plan(scene, pose_to_matrix(pose), home(robot), settings, seed=DEFAULT_SEED)
+        result = loaded.pipeline.plan(scene, pose_to_matrix(pose), home(loaded.robot), settings, seed=DEFAULT_SEED)
         if result.status is Status.SUCCEEDED:
             return dataclasses.replace(scene, target_pose=pose)
         if result.status in (Status.START_INVALID, Status.START_IN_STEM):
@@ -155,32 +174,29 @@ def _quick_end() -> Any:
         signal.signal(signal.SIGTERM, before)
 
 
-def _drive(args: argparse.Namespace, values: Mapping[str, Any], robot: Robot, scene: Scene, clock: Clock) -> Driven:
-    """Start the nodes, ask for the plan and follow the motion."""
+def _drive(
+    corner: Corner, nodes: Processes, loaded: Loaded, scene: Scene, planning: Mapping[str, Any], clock: Clock
+) -> tuple[Driven, Columns]:
+    """Ask for the plan and follow the motion; the plans to compare with are made meanwhile."""
     from lime_planner.ros.demo_client import DemoClient
-    from lime_planner.ros.demo_processes import Corner, Processes
-    from lime_planner.scene.files import save_scene
 
-    path = args.out / "scene.npz"
-    save_scene(path, scene)
-    corner = Corner.own()
-    arm = {"robot": values.get("robot", PARAMETERS["robot"].default)}
-    with Processes(corner, args.out / "logs") as nodes:
-        clock.say(f"starting scene_node, mock_arm_node and planner_node in ROS domain {corner.domain}, namespace {corner.namespace}")
-        nodes.start("scene_node", "lime_planner.ros.scene_node", {"file": str(path.resolve())})
-        nodes.start("mock_arm_node", "lime_planner.ros.mock_arm_node", {**arm, "controller": args.controller})
-        nodes.start("planner_node", "lime_planner.ros.planner_node", {**arm, "controller": args.controller, **values})
-        with DemoClient(corner, robot.joint_names, nodes.check) as client:
-            client.wait(client.planner_serves, 60.0, "the planner's service and the arm's joint states")
-            clock.say("all nodes are up")
-            _wait_until_ready(client, nodes.check, clock)
-            clock.say(f"calling {corner.namespace}/lime_planner/plan")
-            before = len(client.states)
-            success, message = client.plan(60.0)
-            clock.say(message)
+    with DemoClient(corner, loaded.robot.joint_names, nodes.check) as client:
+        client.wait(client.planner_serves, 60.0, "the planner's service and the arm's joint states")
+        clock.say("all nodes are up")
+        _wait_until_ready(client, nodes.check, clock)
+        clock.say(f"calling {corner.namespace}/lime_planner/plan")
+        before = len(client.states)
+        success, message = client.plan(60.0)
+        clock.say(message)
+        q_start = client.states[max(0, before - 1)]
+        with ThreadPoolExecutor(1) as pool:
+            comparisons = pool.submit(_compare, loaded, scene, q_start, planning)
             if success:
-                _follow(client, nodes, robot, scene, clock)
-            return Driven(success, message, dict(client.status), client.states[max(0, before - 1) :])
+                _follow(client, nodes, loaded.robot, scene, clock)
+            columns = comparisons.result()
+        for heading, figures in columns:
+            clock.say(f"for comparison, {heading}: {figures['message']}")
+        return Driven(success, message, dict(client.status), client.states[max(0, before - 1) :]), columns
 
 
 def _wait_until_ready(client: DemoClient, check: Callable[[], None], clock: Clock) -> None:
@@ -218,21 +234,15 @@ def _follow(client: DemoClient, nodes: Processes, robot: Robot, scene: Scene, cl
     client.wait(client.still, 5.0, "the arm to rest")
 
 
-def _compare(
-    pipeline: Pipeline, robot: Robot, scene: Scene, planning: Mapping[str, Any], driven: Driven, clock: Clock
-) -> list[tuple[str, Mapping[str, Any]]]:
+def _compare(loaded: Loaded, scene: Scene, q_start: Array, planning: Mapping[str, Any]) -> Columns:
     """Plan the same reach with leaves as solid obstacles, and with leaves ignored (their contact still counted)."""
     from lime_planner.poses import pose_to_matrix
-    from lime_planner.robot.model import home
 
     assert scene.target_pose is not None
-    pipeline.warm_up()
-    clock.say("for comparison, the same reach with leaves as solid obstacles and with leaves ignored")
-    q_start = driven.states[0] if len(driven.states) else home(robot)
-    columns: list[tuple[str, Mapping[str, Any]]] = []
+    loaded.pipeline.warm_up()
+    columns: Columns = []
     for heading, policy in (("leaves solid", "solid"), ("leaves ignored", "ignored")):
         settings = settings_from({**planning, "leaf_policy": policy})
-        result = pipeline.plan(scene, pose_to_matrix(scene.target_pose), q_start, settings, seed=settings.seed or 1)
-        clock.say(f"{heading}: {result.message}")
+        result = loaded.pipeline.plan(scene, pose_to_matrix(scene.target_pose), q_start, settings, seed=settings.seed or 1)
         columns.append((heading, result.figures()))
     return columns

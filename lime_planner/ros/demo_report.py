@@ -22,6 +22,9 @@ if TYPE_CHECKING:
 
     Array = npt.NDArray[np.float64]
 
+#: Heading and figures of each plan that was made for comparison.
+Columns = list[tuple[str, Mapping[str, Any]]]
+
 GOAL_ERROR_M = 0.005  #: the demo fails above this
 GOAL_ERROR_RAD = 0.05
 MOTION_TIMEOUT_S = 90.0  #: no motion takes longer
@@ -45,7 +48,7 @@ class Driven:
     states: Array
 
 
-def report(args: argparse.Namespace, robot: Robot, scene: Scene, driven: Driven, comparisons: list[tuple[str, Mapping[str, Any]]]) -> Path:
+def report(args: argparse.Namespace, robot: Robot, scene: Scene, driven: Driven, comparisons: Columns) -> Path:
     """Write figures and picture, print the table; return the picture's file."""
     figures = _numbers(driven)
     error_m, error_rad = _goal_error(robot, scene, driven)

@@ -249,6 +249,12 @@ def _legend(figure: Any, scene: Scene, moved: bool, path: bool, target: bool) ->
     if target:
         entries.append(Line2D([], [], color=TARGET, marker="o", markerfacecolor="none", label="target and approach"))
     figure.legend(
-        handles=entries, loc="lower center", bbox_to_anchor=(0.5, 0.01), ncol=len(entries), frameon=False, fontsize=9,
-        handlelength=1.6, columnspacing=1.4,
+        handles=entries,
+        loc="lower center",
+        bbox_to_anchor=(0.5, 0.01),
+        ncol=len(entries),
+        frameon=False,
+        fontsize=9,
+        handlelength=1.6,
+        columnspacing=1.4,
     )
