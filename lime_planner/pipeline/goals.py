@@ -92,7 +92,8 @@ def find_goals(obstacles: Obstacles, checker: ExactChecker, T_base_tool: Array, 
         rank = float(np.linalg.norm(q - q_start)) + (1.0 if leaf > 0.0 else 0.0)
         kept.append((rank, q, clear))
     if not kept:
-        parts = ", ".join(f"{count} {_IN_WORDS[what]}" for what, count in sorted(hits.items()))
+        words = _IN_WORDS if settings.leaf_policy != "solid" else _IN_WORDS | {"stem": "in a stem or a leaf (leaves are solid)"}
+        parts = ", ".join(f"{count} {words[what]}" for what, count in sorted(hits.items()))
         parts += f" ({1e3 * widest:.1f} mm at most)" if "tight" in hits else ""
         sentence = f"all {len(ik.solutions)} configurations that reach the target are blocked: {parts}"
         return Goals(none, none, np.zeros(0), Status.GOAL_IN_STEM, sentence, len(ik.solutions))
