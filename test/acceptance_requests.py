@@ -88,7 +88,8 @@ def main() -> int:
         print("no request succeeded")
         return 1
     median, p95 = np.quantile(times, [0.5, 0.95])
-    print(f"{len(times)} requests: median {median:.2f} s, 95th percentile {p95:.2f} s, {len(refused)} refused, load {os.getloadavg()[0]:.1f}")
+    load = os.getloadavg()[0]
+    print(f"{len(times)} requests: median {median:.2f} s, 95th percentile {p95:.2f} s, {len(refused)} refused, load {load:.1f}")
     return 0 if median <= MEDIAN_S and p95 <= P95_S and not refused else 1
 
 
