@@ -128,6 +128,7 @@ _NODE_TABLE = (
     Parameter("goal_tolerance_rad", 0.02, "A motion has succeeded when the arm rests this close to its last point.", "rad", 0.0005, 0.5),
     Parameter("goal_time_s", 2.0, "How long the arm may take to come to rest there after the motion's end.", "s", 0.1, 60.0),
     Parameter("replan_attempts", 0, "How often `~/plan` plans again from rest after a motion was stopped by a new stem or a deviation.", "", 0, 10),
+    Parameter("deadline_s", 0.0, "Give a plan up as TIMED_OUT after this long, certificate included; coming to rest and compiling do not count; 0: off.", "s", 0.0, 600.0),
     Parameter("viewer_port", 0, "Port of the 3-D page; 0: off.", "", 0, 65535, read_only=True),
 )
 # fmt: on

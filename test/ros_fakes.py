@@ -79,7 +79,7 @@ def result(start: np.ndarray, goal: np.ndarray, duration_s: float = 0.5) -> Fake
 
 
 class FakePipeline:
-    """Plans by moving every joint by the target's x; a target with y = 9 takes for ever, z below 0 is out of reach."""
+    """Plans by moving every joint by the target's x; a target with y = 8 takes a while, y = 9 for ever, z below 0 is out of reach."""
 
     def __init__(self, robot: FakeRobot, warm_up_s: float = 0.0, plan_s: float = 0.05, duration_s: float = 0.5) -> None:
         self.robot = robot
@@ -95,7 +95,7 @@ class FakePipeline:
             raise ProblemError("thirteen stems bring bad luck")
         if len(scene.stem_points) == 666:
             raise ZeroDivisionError("a defect")
-        deadline = time.monotonic() + (60.0 if T_base_tool[1, 3] == 9.0 else self.plan_s)
+        deadline = time.monotonic() + {8.0: 0.6, 9.0: 60.0}.get(float(T_base_tool[1, 3]), self.plan_s)
         while time.monotonic() < deadline and not should_stop():
             time.sleep(0.002)
         if T_base_tool[2, 3] < 0.0:
@@ -111,7 +111,7 @@ class FakePipeline:
     def follow(self, waypoints: np.ndarray, scene: Any, T_base_tool: Any, settings: Any, *, should_stop: Any) -> FakeResult:
         return result(waypoints[0], waypoints[-1], self.duration_s)
 
-    def obstruction(self, plan: FakeResult, scene: Any, settings: Any, *, from_time_s: float, should_stop: Any) -> str | None:
+    def obstruction(self, plan: FakeResult, scene: Any, settings: Any, *, should_stop: Any, from_time_s: float = 0.0) -> str | None:
         return "a stem stands 0.3 m ahead" if len(scene.stem_points) == 99 else None
 
 

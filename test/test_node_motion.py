@@ -20,6 +20,7 @@ from std_srvs.srv import Trigger
 DOMAIN = 60 + os.getpid() % 40
 FORTH = [0.3, 0.0, 0.4, 0.0, 0.0, 0.0, 1.0]
 BACK = [-0.3, 0.0, 0.4, 0.0, 0.0, 0.0, 1.0]
+SLOW = [0.3, 8.0, 0.4, 0.0, 0.0, 0.0, 1.0]
 ENDLESS = [0.3, 9.0, 0.4, 0.0, 0.0, 0.0, 1.0]
 
 
@@ -216,6 +217,54 @@ def test_a_stem_that_appears_stops_the_arm_and_leaves_do_not(bench: Bench) -> No
     assert execution_code(bench, number) == "STEM_APPEARED"
     assert len(bench.commands) == 2
     assert "a stem stands 0.3 m ahead" in bench.statuses[-1]["execution_message"]
+
+
+def test_what_changes_while_a_plan_is_made_is_looked_at_before_it_is_sent(bench: Bench) -> None:
+    withdrawn = [float("nan"), *FORTH[1:]]
+    for change, code, words in (
+        (lambda: bench.send_clouds(None, cloud(99)), "STEM_APPEARED", "came while planning, a stem stands 0.3 m ahead; nothing was sent"),
+        (lambda: bench.send_clouds(None, cloud(0)), "NO_CLOUD", "the stem cloud that came while planning"),
+        (lambda: bench.send_target(withdrawn), "BAD_INPUT", "withdrawn by the one after it"),
+        (lambda: bench.set(motion_enabled=False), "MOTION_DISABLED", "motion_enabled is false"),
+    ):
+        bench.set(motion_enabled=True)
+        bench.send_clouds(None, cloud(100))
+        bench.send_target(SLOW)
+        time.sleep(0.2)
+        planning = bench.call_async("plan")
+        time.sleep(0.2)
+        change()
+        if code == "STEM_APPEARED":  # planned again with that stem in sight, and another one comes
+            time.sleep(0.7)
+            change()
+        message = bench.result(planning).message
+        assert message.startswith(f"{code}: "), message
+        assert words in message
+        assert not bench.commands
+    bench.set(motion_enabled=True)
+    bench.send_target(SLOW)
+    time.sleep(0.2)
+    planning = bench.call_async("plan")
+    time.sleep(0.2)
+    bench.send_clouds(None, cloud(101))  # in nobody's way
+    assert bench.result(planning).success
+
+
+def test_a_preview_is_not_carried_out_after_its_target_was_withdrawn(bench: Bench) -> None:
+    assert bench.call("preview").success
+    bench.send_target([float("nan"), *FORTH[1:]])
+    time.sleep(0.2)
+    assert bench.call("execute").message.startswith("BAD_INPUT: the target was withdrawn by the one after it")
+    assert not bench.commands
+
+
+def test_forbidding_motion_stops_the_one_that_runs(bench: Bench) -> None:
+    number = plan_id(bench.call("plan").message)
+    time.sleep(0.3)
+    bench.set(motion_enabled=False)
+    assert execution_code(bench, number) == "CANCELLED"
+    assert "motion_enabled was set to false" in bench.statuses[-1]["execution_message"]
+    assert len(bench.commands) == 2
 
 
 def test_deviation_and_silence_stop_the_arm(bench: Bench) -> None:

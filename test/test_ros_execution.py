@@ -31,6 +31,7 @@ class Rig:
         self.ended: list[Ended] = []
         self.stopped: list[Motion] = []
         self.subscribers = 1
+        self.allowed = True
         self.execution = Execution(
             self.joints,
             lambda trajectory: trajectory,
@@ -39,6 +40,7 @@ class Rig:
             lambda motion, q, on_path: make_stop(FakeRobot(), motion, q, on_path),
             self.stopped.append,
             self.ended.append,
+            lambda: self.allowed,
         )
 
     def state(self, q: np.ndarray) -> None:

@@ -70,6 +70,14 @@ class TestTargets:
         assert "3.00 s in the future" in sentence
         inputs.target(0.0, 0.0)
 
+    def test_trouble_names_every_input_that_is_in_it(self, inputs: Inputs) -> None:
+        assert inputs.trouble(0.3) == []
+        inputs.on_target(target([math.nan, *IDENTITY[1:]]))
+        inputs.on_joint_state(JointState(name=["j1"], position=[0.0]))
+        first, second = inputs.trouble(0.3)
+        assert "not finite" in first
+        assert "no joint j2" in second
+
     def test_counts(self, inputs: Inputs) -> None:
         for pose in (IDENTITY, IDENTITY, [math.nan] * 7, IDENTITY):
             inputs.on_target(target(pose))
@@ -140,6 +148,16 @@ class TestJoints:
         assert history.at(99.0) is None
         assert history.at(101.0)[0] == 4.0  # type: ignore[index]
         assert history.at(0.0)[0] == 4.0  # type: ignore[index]
+
+    def test_a_clock_that_is_set_back_and_a_state_that_is_late(self) -> None:
+        history, now = JointHistory(), time.monotonic()
+        for k, stamp in enumerate((100.0, 100.2, 100.1)):
+            history.add(arm_state(stamp, now + 0.01 * k, stamp))
+        assert history.at(100.15)[0] == pytest.approx(100.15), "the late one comes in between"  # type: ignore[index]
+        history.add(arm_state(7.0, now + 0.1, 3.0))
+        assert history.at(3.0)[0] == 7.0  # type: ignore[index]
+        assert history.at(2.0) is None
+        assert history.newest is not None and history.newest.stamp_s == 3.0
 
     def test_stillness_needs_time_states_and_no_motion(self) -> None:
         history, now = JointHistory(), time.monotonic()

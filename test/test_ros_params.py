@@ -174,5 +174,27 @@ def test_every_publisher_is_heard_once(context: rclpy.Context, monkeypatch: pyte
     node.destroy_node()
 
 
+def test_messages_that_never_arrive_are_counted(context: rclpy.Context) -> None:
+    listener, camera = Node("listener", context=context), Node("camera", context=context)
+    executor = SingleThreadedExecutor(context=context)
+    executor.add_node(listener)
+    heard: list[String] = []
+    subscription = qos.AdaptiveSubscription(listener, String, "counted", qos.NEWEST, heard.append)
+    publisher = camera.create_publisher(String, "counted", qos.NEWEST)
+    deadline = time.monotonic() + 10.0
+    while publisher.get_subscription_count() == 0 and time.monotonic() < deadline:
+        time.sleep(0.01)
+    subscription.check()
+    for burst in (1, 3, 1, 5):  # of a burst only the last is kept
+        for _ in range(burst):
+            publisher.publish(String())
+        time.sleep(0.05)
+        executor.spin_once(timeout_sec=1.0)
+    assert (len(heard), subscription.lost) == (4, 6)
+    executor.shutdown()
+    listener.destroy_node()
+    camera.destroy_node()
+
+
 def test_a_motion_command_is_never_latched() -> None:
     assert (qos.COMMAND.durability, qos.COMMAND.reliability, qos.COMMAND.depth) == (VOLATILE, RELIABLE, 1)

@@ -13,7 +13,7 @@ from lime_planner.parameters import PLANNERS, Settings, settings_from
 from lime_planner.pipeline import follow
 from lime_planner.pipeline.finish import CERTIFIED_STEP_RAD, hit_of, path_figures, sample_path
 from lime_planner.pipeline.goals import Goals, examine_start, find_goals
-from lime_planner.pipeline.obstacles import Obstacles, prepare
+from lime_planner.pipeline.obstacles import Obstacles, prepare, stem_checker
 from lime_planner.pipeline.result import PlanResult
 from lime_planner.pipeline.search import Found, search
 from lime_planner.pipeline.steps import Clock, Stopped, ask, checked_start, checked_target, never
@@ -113,7 +113,8 @@ class Pipeline:
             q_start: (n,) measured configuration [rad], turns kept.
             settings: everything else.
             should_stop: True cancels; asked every few milliseconds.
-            deadline_s: wall time from now for everything; the search gets what certificate and timing leave, at most its budget.
+            deadline_s: wall time from now for everything, or TIMED_OUT; the search gets what certificate and timing leave, at most its
+                budget.
             seed: of the random generator; 0 draws one, which the result names.
 
         Raises:
@@ -139,10 +140,13 @@ class Pipeline:
                 **figures,
             )
 
+        def ended() -> bool:
+            return should_stop() or (deadline_s is not None and clock.elapsed() >= deadline_s)
+
         figures: dict[str, Any] = {}
         try:
-            obstacles, checker, goals = self._goals(scene, T, q, settings, seed, clock, counts, should_stop)
-            found = self._path(obstacles, checker, q, goals, settings, seed, clock, counts, should_stop, deadline_s, iterations)
+            obstacles, checker, goals = self._goals(scene, T, q, settings, seed, clock, counts, ended)
+            found = self._path(obstacles, checker, q, goals, settings, seed, clock, counts, ended, deadline_s, iterations)
             assert found.path is not None
             figures = path_figures(obstacles, checker, found.path, T)
             clock.lap("figures")
@@ -150,8 +154,10 @@ class Pipeline:
             if limit >= 0.0 and figures["leaf_contact_rad"] > limit:
                 sentence = f"the least leaf contact found is {figures['leaf_contact_rad']:.3f} rad, allowed are {limit:.3f} rad"
                 raise Stopped(Status.LEAF_BUDGET_EXCEEDED, sentence)
-            figures["trajectory"] = follow.timed_motion(obstacles, checker, found.path, q, settings, clock, should_stop)
+            figures["trajectory"] = follow.timed_motion(obstacles, checker, found.path, q, settings, clock, ended)
         except Stopped as stop:
+            if stop.status is Status.CANCELLED and not should_stop():
+                stop = Stopped(Status.TIMED_OUT, f"the deadline of {deadline_s:.2f} s passed before a motion was certified")
             return refused(stop, **figures)
         sentence = (
             f"{len(found.path)} waypoints over {figures['path_length_rad']:.2f} rad, {figures['leaf_contact_rad']:.3f} rad of it among "
@@ -285,9 +291,8 @@ class Pipeline:
         Returns:
             The contact in words, or None.
         """
-        return follow.obstruction(
-            lambda: self._obstacles_of(scene, result.T_base_tool, settings), result.trajectory, from_time_s, should_stop
-        )
+        target = None if result.T_base_tool is None else result.T_base_tool[:3, 3]
+        return follow.obstruction(lambda: stem_checker(self.robot, scene, target, settings), result.trajectory, from_time_s, should_stop)
 
     def _obstacles_of(self, scene: Scene, T_base_tool: Array | None, settings: Settings) -> Obstacles:
         return self.obstacles(scene, None if T_base_tool is None else T_base_tool[:3, 3], settings)

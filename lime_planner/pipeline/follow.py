@@ -126,7 +126,7 @@ def recheck(obstacles: Callable[[], Obstacles], trajectory: Trajectory | None, q
 
 
 def obstruction(
-    obstacles: Callable[[], Obstacles], trajectory: Trajectory | None, from_time_s: float, should_stop: Callable[[], bool] = never
+    checker: Callable[[], ExactChecker], trajectory: Trajectory | None, from_time_s: float, should_stop: Callable[[], bool] = never
 ) -> str | None:
     """Look for something hard on the rest of a running motion; see `Pipeline.obstruction`."""
     if trajectory is None:
@@ -134,4 +134,4 @@ def obstruction(
     rest = trajectory.positions[trajectory.times() >= from_time_s]
     if len(rest) == 0:
         return None
-    return hit_of(obstacles().exact_checker(), rest, should_stop)
+    return hit_of(checker(), rest, should_stop)

@@ -79,21 +79,39 @@ class Obstacles:
 
     def exact_checker(self) -> ExactChecker:
         """An exact checker of the same obstacles."""
-        s = self.settings
-        boxes = np.array(s.keep_out_boxes, dtype=np.float64).reshape(-1, 6)
-        return ExactChecker(
-            self.robot,
-            self.hard,
-            point_radius_m=s.stem_point_radius_m,
-            leaf_points=self.leaves,
-            leaf_point_radius_m=s.leaf_point_radius_m,
-            keep_out_boxes=boxes,
-            floor_z_m=s.floor_z_m if s.floor_z_m > _NO_FLOOR_M else None,
-            workspace_box=np.array(s.workspace_box) if s.workspace_box else None,
-            exclusion_centre=self.target if s.target_exclusion_radius_m > 0.0 else None,
-            exclusion_radius_m=s.target_exclusion_radius_m,
-            approach_zone_m=s.approach_zone_m,
-        )
+        return _exact_checker(self.robot, self.hard, self.leaves, self.target, self.settings)
+
+
+def stem_checker(robot: Robot, scene: Scene, target: Array | None, settings: Settings) -> ExactChecker:
+    """An exact checker of everything hard in a scene, without leaves and without the fields that a search needs: made in no time.
+
+    Args:
+        robot, scene, target, settings: see `prepare`; the leaf policy does not count.
+    """
+    return _exact_checker(robot, _hard_points(robot, scene, target, settings), np.zeros((0, 3), np.float32), target, settings)
+
+
+def _hard_points(robot: Robot, scene: Scene, target: Array | None, settings: Settings) -> Float32:
+    hard = scene.impermeable_points(target, settings.target_exclusion_radius_m)
+    reach = robot.reach_m + _BEYOND_REACH_M
+    return np.asarray(hard[np.einsum("ij,ij->i", hard, hard) <= reach * reach], dtype=np.float32)
+
+
+def _exact_checker(robot: Robot, hard: Float32, leaves: Float32, target: Array | None, s: Settings) -> ExactChecker:
+    boxes = np.array(s.keep_out_boxes, dtype=np.float64).reshape(-1, 6)
+    return ExactChecker(
+        robot,
+        hard,
+        point_radius_m=s.stem_point_radius_m,
+        leaf_points=leaves,
+        leaf_point_radius_m=s.leaf_point_radius_m,
+        keep_out_boxes=boxes,
+        floor_z_m=s.floor_z_m if s.floor_z_m > _NO_FLOOR_M else None,
+        workspace_box=np.array(s.workspace_box) if s.workspace_box else None,
+        exclusion_centre=target if s.target_exclusion_radius_m > 0.0 else None,
+        exclusion_radius_m=s.target_exclusion_radius_m,
+        approach_zone_m=s.approach_zone_m,
+    )
 
 
 def _patch_weights(points: Float32, costs: Float32) -> Float32:
@@ -112,10 +130,9 @@ def prepare(robot: Robot, shapes: Shapes, scene: Scene, target: Array | None, se
         target: (3,) position of the tool at the target [m], or None for a check without one.
         settings: radii, margins, keep-outs, leaf policy.
     """
-    hard = scene.impermeable_points(target, settings.target_exclusion_radius_m)
+    hard = _hard_points(robot, scene, target, settings)
     leaf, costs = scene.leaf_points, scene.leaf_costs
     reach = robot.reach_m + _BEYOND_REACH_M
-    hard = hard[np.einsum("ij,ij->i", hard, hard) <= reach * reach]
     near = np.einsum("ij,ij->i", leaf, leaf) <= reach * reach
     leaf, costs = leaf[near], costs[near]
     if settings.leaf_policy == "solid":

@@ -84,6 +84,7 @@ class Execution:
         make_stop: StopMaker,
         on_stop: Callable[[Motion], None],
         on_end: Callable[[Ended], None],
+        may_move: Callable[[], bool],
     ) -> None:
         """Make an execution at rest.
 
@@ -95,6 +96,7 @@ class Execution:
             make_stop: the controller's way of stopping.
             on_stop: is told about each motion that is being stopped.
             on_end: is told about each motion's end, once, from whichever thread notices.
+            may_move: whether motions are allowed now, whatever was allowed when the plan was asked for.
         """
         self._joints = joints
         self._prepare = prepare
@@ -103,6 +105,7 @@ class Execution:
         self._make_stop = make_stop
         self._on_stop = on_stop
         self._on_end = on_end
+        self._may_move = may_move
         self._lock = threading.RLock()
         self._motion: Motion | None = None
         self._stopping: tuple[Motion, Status, str, float] | None = None
@@ -155,7 +158,7 @@ class Execution:
         node = snapshot.node
         message = self._prepare(trajectory)  # outside the lock: a stop must not wait for it
         with self._lock:
-            if not node.motion_enabled:
+            if not (node.motion_enabled and self._may_move()):
                 raise Refusal(Status.MOTION_DISABLED, "planned and published, but not sent, because motion_enabled is false")
             if self._motion is not None or self._stopping is not None:
                 raise Refusal(Status.ARM_MOVING, "another motion has not ended")

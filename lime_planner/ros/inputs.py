@@ -147,10 +147,12 @@ class Target:
     Attributes:
         T_frame_tool: (4, 4), in the frame of its message.
         msg: the message.
+        from_topic: whether it came by the topic; such a one is withdrawn by an invalid one after it.
     """
 
     T_frame_tool: npt.NDArray[np.float64]
     msg: PoseStamped
+    from_topic: bool = False
 
 
 class Inputs:
@@ -234,7 +236,28 @@ class Inputs:
             raise Refusal(Status.BAD_INPUT, sample.refusal)
         sample.check_time("grasp_target", max_age_s, max_ahead_s)
         slot.use(sample)
-        return Target(target_matrix(sample.msg), sample.msg)
+        return Target(target_matrix(sample.msg), sample.msg, from_topic=True)
+
+    def check_not_withdrawn(self, target: Target | None) -> None:
+        """Check that no invalid target came after one that was taken from the topic.
+
+        Raises:
+            Refusal: BAD_INPUT.
+        """
+        newest = self.slots["grasp_target"].newest
+        if target is not None and target.from_topic and newest is not None and newest.refusal is not None:
+            raise Refusal(Status.BAD_INPUT, f"the target was withdrawn by the one after it: {newest.refusal}")
+
+    def trouble(self, max_joint_state_age_s: float) -> list[str]:
+        """Return what is wrong with the inputs now, a sentence each; an input that nothing has come on yet is not in trouble."""
+        newest = [slot.newest for slot in self.slots.values()]
+        found = [sample.refusal for sample in newest if sample is not None and sample.refusal is not None]
+        if self.joints.received > self.joints.foreign:
+            try:
+                self.joints.fresh(max_joint_state_age_s)
+            except Refusal as refusal:
+                found.append(str(refusal))
+        return found
 
     def figures(self) -> dict[str, str]:
         """Return ages and counts of every input as text, for the diagnostics."""

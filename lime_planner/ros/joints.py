@@ -21,6 +21,8 @@ Array = npt.NDArray[np.float64]
 
 #: How much of the past is kept [s]: clouds of slow cameras are this old at most when they arrive.
 HISTORY_S = 5.0
+#: Stamps that go back by more than this come from a clock that was set back, not from a message that was late [s].
+CLOCK_JUMP_S = 1.0
 #: A cloud's stamp may lie this far outside the history before its arm state counts as unknown [s].
 STAMP_SLACK_S = 0.2
 
@@ -63,6 +65,8 @@ class JointHistory:
         with self._condition:
             self.received += not counted
             self.foreign -= counted
+            if self._states and 0.0 < state.stamp_s < self._states[-1].stamp_s - CLOCK_JUMP_S:
+                self._states.clear()  # simulated time began anew: the stamps before mean nothing now
             self._states.append(state)
             while self._states and self._states[0].arrival_s < state.arrival_s - HISTORY_S:
                 self._states.popleft()
@@ -134,6 +138,7 @@ class JointHistory:
             return None
         if not states:
             return newest.q
+        states.sort(key=lambda state: state.stamp_s)  # late ones come in between
         stamps = np.array([state.stamp_s for state in states])
         after = int(np.searchsorted(stamps, stamp_s))
         if after == 0:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -47,6 +47,7 @@ class NodeSettings:
     goal_tolerance_rad: float
     goal_time_s: float
     replan_attempts: int
+    deadline_s: float
     viewer_port: int
 
 
@@ -83,6 +84,8 @@ class NodeParameters:
             ParameterError: a value given at start (file, command line) is not allowed.
         """
         self._node = node
+        #: Told about every new snapshot, after it is in force.
+        self.on_change: Callable[[Snapshot], None] = lambda _: None
         given = {name: parameter.value for name, parameter in node._parameter_overrides.items() if name in _TABLE}
         self._snapshot = snapshot_from(given)
         for name, parameter in _TABLE.items():
@@ -116,6 +119,7 @@ class NodeParameters:
 
     def _apply(self, changed: Sequence[RosParameter]) -> None:
         self._snapshot = snapshot_from(self._merged(changed))
+        self.on_change(self._snapshot)
 
 
 def _descriptor(parameter: Parameter) -> ParameterDescriptor:

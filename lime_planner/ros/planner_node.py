@@ -36,7 +36,7 @@ from lime_planner.ros.execution import Ended, Execution
 from lime_planner.ros.frames import make_frames
 from lime_planner.ros.inputs import CLOUDS, Inputs
 from lime_planner.ros.markers import markers
-from lime_planner.ros.params import NodeParameters
+from lime_planner.ros.params import NodeParameters, Snapshot
 from lime_planner.ros.requests import Requests, Shown
 from lime_planner.ros.runner import run_node
 from lime_planner.ros.scene_source import SceneSource
@@ -85,6 +85,7 @@ class PlannerNode(Node):
             lambda motion, q, on_path: make_stop(self._robot(), motion, q, on_path),
             lambda motion: self.board.show(motion.plan_id, Phase.STOPPING),
             self._on_end,
+            lambda: self.params.snapshot.node.motion_enabled,
         )
         self.worker = Worker(self.get_logger().error)
         self.engine = Engine(
@@ -95,8 +96,17 @@ class PlannerNode(Node):
             report=self._log,
         )
         self.requests = Requests(
-            self.engine, lambda: self.params.snapshot, self.inputs, self.frames, lambda: self.source, self.execution, self.board, self._show
+            self.engine,
+            lambda: self.params.snapshot,
+            self.inputs,
+            self.frames,
+            lambda: self.source,
+            self.execution,
+            self.board,
+            self._show,
+            lambda: self.watch.notice(),
         )
+        self.params.on_change = self._on_parameters
         self.watch = StemWatch(self.execution, make_look(lambda: self.source, lambda: self.engine.loaded), self._warn)
         self._open_inputs(settings.plan.robot)
         self.desk = Services(self, self.worker, self.requests, self.execution, self.board, self._robot, self._log)
@@ -148,6 +158,10 @@ class PlannerNode(Node):
 
             self.worker.submit("replan", replan, self.desk.finish)
 
+    def _on_parameters(self, snapshot: Snapshot) -> None:
+        if not snapshot.node.motion_enabled:  # whoever forbids motions means the one that runs too
+            self.execution.stop(Status.CANCELLED, "motion_enabled was set to false")
+
     def _on_loaded(self, loaded: Loaded) -> None:
         robot = loaded.robot
         self.board.robot = robot.name
@@ -183,6 +197,7 @@ class PlannerNode(Node):
         ticket, motion = self.worker.current, self.execution.motion
         values = {
             **self.inputs.figures(),
+            **{f"{subscription.topic}.lost": subscription.lost for subscription in self._subscriptions_by_offer},
             "last_status": self.board.last_message,
             "phase": self.board.phase.name,
             "worker": f"{ticket.kind} {ticket.plan_id}" if ticket is not None else "idle",
@@ -191,7 +206,9 @@ class PlannerNode(Node):
             "motion_enabled": self.params.snapshot.node.motion_enabled,
             "controllers": self._command.get_subscription_count(),
         }
-        trouble = "" if self.engine.ready else self.engine.state
+        trouble = "; ".join(
+            [*([] if self.engine.ready else [self.engine.state]), *self.inputs.trouble(self.params.snapshot.node.max_joint_state_age_s)]
+        )
         self._health.publish(health_message(self._now(), self.get_name(), self.board.robot, trouble, values))
 
     def _robot(self) -> Any:

@@ -50,6 +50,11 @@ class AdaptiveSubscription:
     The base profile, reliable and volatile, stays in any case. Best effort comes along while a publisher offers only that;
     transient local for a few seconds whenever a new publisher latches, to collect what a volatile subscription misses. A message
     that arrives under two profiles is passed on once.
+
+    Attributes:
+        topic: its short name.
+        lost: messages that were published and never got here, on the way or because newer ones came first; counted by the publisher's
+            own numbers, while there is one publisher.
     """
 
     def __init__(self, node: Node, message_type: Any, topic: str, base: QoSProfile, callback: Callable[[Any], None]) -> None:
@@ -64,7 +69,10 @@ class AdaptiveSubscription:
         """
         self._node = node
         self._type = message_type
-        self._topic = topic
+        self.topic = topic
+        self.lost = 0
+        self._publishers: set[tuple[int, ...]] = set()
+        self._last_number = 0  # 0: none to go by
         self._callback = callback
         self._seen: deque[int] = deque(maxlen=16)
         self._collected: set[tuple[int, ...]] = set()
@@ -77,6 +85,9 @@ class AdaptiveSubscription:
     def check(self) -> None:
         """Compare with the publishers' offers; to be called now and then (an event would only say that something changed)."""
         publishers = self._node.get_publishers_info_by_topic(self._base.topic_name)
+        there = {tuple(info.endpoint_gid) for info in publishers}
+        if there != self._publishers:
+            self._publishers, self._last_number = there, 0
         self._keep("best effort", self._best_effort, any(is_best_effort(info.qos_profile) for info in publishers))
         latching = {tuple(info.endpoint_gid) for info in publishers if is_latched(info.qos_profile)}
         new = bool(latching - self._collected)
@@ -97,11 +108,19 @@ class AdaptiveSubscription:
     def _subscribe(self, profile: QoSProfile) -> Any:
         # Our own handler keeps rclpy from logging a warning for an offer that `check` is about to follow.
         events = SubscriptionEventCallbacks(incompatible_qos=lambda _event: None)
-        return self._node.create_subscription(self._type, self._topic, self._receive, profile, event_callbacks=events)
+        return self._node.create_subscription(self._type, self.topic, self._receive, profile, event_callbacks=events)
 
     def _receive(self, msg: Any, info: Mapping[str, Any]) -> None:
         sent = int(info.get("source_timestamp") or 0)
         if sent and sent in self._seen:
             return
         self._seen.append(sent)
+        self._count(int(info.get("publication_sequence_number") or 0))
         self._callback(msg)
+
+    def _count(self, number: int) -> None:
+        if len(self._publishers) != 1:
+            return
+        if 0 < self._last_number < number - 1:
+            self.lost += number - 1 - self._last_number
+        self._last_number = max(self._last_number, number)

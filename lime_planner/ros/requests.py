@@ -31,19 +31,20 @@ from lime_planner.status import Status
 
 Array = npt.NDArray[np.float64]
 
-#: How often a plan is made again because the arm had moved when it was to be sent.
+#: How often a plan is made at most: again when the arm had moved, or a stem was seen on the path, before it could be sent.
 _SENDING_ATTEMPTS = 2
 
 
 @dataclass(frozen=True)
 class Shown:
-    """A finished plan, for whoever draws it."""
+    """A finished plan, for whoever draws it; `stem_number` tells which stem clouds it knows (`SceneSource.newest_stem_number`)."""
 
     scene: Scene
     T_base_tool: Array | None
     target: Target | None
     result: Any
     snapshot: Snapshot
+    stem_number: int
 
 
 @dataclass
@@ -59,6 +60,7 @@ class Requests:
         execution: sends and stops motions.
         board: the status.
         show: publishes path and markers.
+        look: has the running motion checked against the newest stems.
     """
 
     engine: Engine
@@ -69,6 +71,7 @@ class Requests:
     execution: Execution
     board: Board
     show: Callable[[Shown], None]
+    look: Callable[[], None]
     previewed: tuple[Loaded, Shown] | None = None
 
     def plan(self, ticket: Ticket) -> Answer:
@@ -82,9 +85,9 @@ class Requests:
                 if shown.result.status is not Status.SUCCEEDED:
                     return _answer_of(shown.result)
                 try:
-                    return self._send(ticket, shown)
+                    return self._send(ticket, loaded, shown)
                 except Refusal as refusal:
-                    if refusal.status is not Status.ARM_MOVING or attempt == _SENDING_ATTEMPTS:
+                    if refusal.status not in (Status.ARM_MOVING, Status.STEM_APPEARED) or attempt == _SENDING_ATTEMPTS:
                         raise
         raise AssertionError("unreachable")
 
@@ -117,11 +120,12 @@ class Requests:
             self.board.note(ticket.plan_id, **_figures(result))
             self._come_to_rest(ticket, snapshot)
             arm = self._arm(snapshot)
+            number = self.source().newest_stem_number()
             scene = self.source().scene(snapshot, ticket.should_stop)
             status, sentence = loaded.pipeline.recheck(result, scene, arm.q, snapshot.plan)
             if status is not Status.SUCCEEDED:
                 return Answer(status, _bare(status, sentence))
-            return self._send(ticket, dataclasses.replace(shown, scene=scene, snapshot=snapshot))
+            return self._send(ticket, loaded, dataclasses.replace(shown, scene=scene, snapshot=snapshot, stem_number=number))
 
     def retreat(self, ticket: Ticket) -> Answer:
         """Go back along the motion executed last, as far as the arm got."""
@@ -134,15 +138,16 @@ class Requests:
             ticket.context["target"] = last.context.get("target")
             arm = self._arm(snapshot)
             waypoints = way_back(last.result.waypoints, arm.q, forward=last.retreat)
+            number = self.source().newest_stem_number()
             scene = self.source().scene(snapshot, ticket.should_stop)
             self.board.show(ticket.plan_id, Phase.PLANNING)
             T_base_tool, should_stop = last.T_base_tool, ticket.should_stop
             result = self._guarded(lambda: loaded.pipeline.follow(waypoints, scene, T_base_tool, snapshot.plan, should_stop=should_stop))
-            shown = Shown(scene, T_base_tool, None, result, snapshot)
+            shown = Shown(scene, T_base_tool, None, result, snapshot, number)
             self._present(ticket, shown)
             if result.status is not Status.SUCCEEDED:
                 return _answer_of(result)
-            return self._send(ticket, shown, retreat=True)
+            return self._send(ticket, loaded, shown, retreat=True)
 
     def _begin(self, ticket: Ticket) -> Snapshot:
         self.board.show(ticket.plan_id, Phase.PLANNING, kind=ticket.kind)
@@ -214,13 +219,17 @@ class Requests:
         if frame != loaded.robot.planning_frame:
             T = self.frames.lookup(loaded.robot.planning_frame, frame, header.stamp, snapshot.node.tf_timeout_s, ticket.should_stop)
             T_base_tool = T @ T_base_tool
+        number = self.source().newest_stem_number()
         scene = self.source().scene(snapshot, ticket.should_stop)
         decode_s = time.monotonic() - began_s
+        deadline_s = max(snapshot.node.deadline_s - decode_s, 0.0) if snapshot.node.deadline_s > 0.0 else None
         seed = snapshot.plan.seed or int(np.random.default_rng().integers(1, 2**31 - 1))
         result = self._guarded(
-            lambda: loaded.pipeline.plan(scene, T_base_tool, arm.q, snapshot.plan, should_stop=ticket.should_stop, seed=seed)
+            lambda: loaded.pipeline.plan(
+                scene, T_base_tool, arm.q, snapshot.plan, should_stop=ticket.should_stop, deadline_s=deadline_s, seed=seed
+            )
         )
-        shown = Shown(scene, T_base_tool, target, result, snapshot)
+        shown = Shown(scene, T_base_tool, target, result, snapshot, number)
         self._present(ticket, shown, inputs_s=decode_s, request_s=time.monotonic() - began_s)
         return shown
 
@@ -236,8 +245,26 @@ class Requests:
             self.board.note(ticket.plan_id, **_figures(shown.result), **figures)
             self.show(shown)
 
-    def _send(self, ticket: Ticket, shown: Shown, *, retreat: bool = False) -> Answer:
+    def _look_again(self, ticket: Ticket, loaded: Loaded, shown: Shown) -> int:
+        """Check what may have changed while the plan was made: the target, the clouds' ages, and stems that were not there before.
+
+        Returns:
+            Which stem clouds the motion was checked against.
+        """
         result, snapshot = shown.result, shown.snapshot
+        self.inputs.check_not_withdrawn(shown.target)
+        number = self.source().newest_stem_number()
+        stems = self.source().changed_stems(shown.stem_number, snapshot, ticket.should_stop)
+        if stems is not None:
+            sentence = self._guarded(lambda: loaded.pipeline.obstruction(result, stems, snapshot.plan, should_stop=ticket.should_stop))
+            if sentence is not None:
+                raise Refusal(Status.STEM_APPEARED, f"in a stem cloud that came while planning, {sentence}; nothing was sent")
+        return number
+
+    def _send(self, ticket: Ticket, loaded: Loaded, shown: Shown, *, retreat: bool = False) -> Answer:
+        result, snapshot = shown.result, shown.snapshot
+        enabled = snapshot.node.motion_enabled and self.snapshot().node.motion_enabled  # else `send` refuses
+        number = self._look_again(ticket, loaded, shown) if enabled else 0
         left = ticket.context.get("replans_left", snapshot.node.replan_attempts) if ticket.kind in ("plan", "replan") else 0
         motion = self.execution.send(
             ticket.plan_id,
@@ -253,6 +280,8 @@ class Requests:
         if motion is None:
             return Answer(Status.CANCELLED, "answered before it could be sent")  # never heard: the ticket has its answer
         self.previewed = None
+        if self.source().newest_stem_number() != number:
+            self.look()
         return _answer_of(result)
 
 

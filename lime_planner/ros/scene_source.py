@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -70,8 +70,26 @@ class SceneSource:
             scene = self._scene(samples, snapshot, should_stop)
             for name, sample in samples.items():
                 self._inputs.slots[name].use(sample)
-        if not len(scene.stem_points) + len(scene.fruit_points) and not snapshot.node.allow_empty_stem_cloud:
-            raise Refusal(Status.NO_CLOUD, _emptiness(samples, scene))
+        _refuse_emptiness(samples, scene, snapshot.node)
+        return scene
+
+    def changed_stems(self, number: int, snapshot: Snapshot, should_stop: Callable[[], bool]) -> Scene | None:
+        """Return the newest stems if any came after a scene was made, else None, the newest clouds' ages checked once more.
+
+        Args:
+            number: `newest_stem_number` before the scene was made.
+            snapshot: the parameters.
+            should_stop: ends a wait early.
+
+        Raises:
+            Refusal: see `scene`; an empty cloud is NO_CLOUD here too.
+        """
+        if self.newest_stem_number() == number:
+            for name, sample in self._samples(snapshot.node).items():
+                sample.check_time(name, snapshot.node.max_cloud_age_s, snapshot.node.max_clock_skew_s)
+            return None
+        scene = self.stems(snapshot, should_stop)
+        _refuse_emptiness(("the stem cloud that came while planning",), scene, snapshot.node)
         return scene
 
     def stems(self, snapshot: Snapshot, should_stop: Callable[[], bool]) -> Scene:
@@ -179,10 +197,12 @@ class SceneSource:
             return (points @ T[:3, :3].T.astype(np.float32) + T[:3, 3].astype(np.float32)).astype(np.float32)
 
 
-def _emptiness(samples: dict[str, Sample], scene: Scene) -> str:
+def _refuse_emptiness(names: Iterable[str], scene: Scene, node: NodeSettings) -> None:
+    if len(scene.stem_points) + len(scene.fruit_points) or node.allow_empty_stem_cloud:
+        return
     received, gone = scene.counts.get("received", 0), scene.counts.get("non_finite", 0)
-    names = " and ".join(samples) or "no cloud"
-    return f"no stem point among the {received} points of {names} ({gone} not finite); allow_empty_stem_cloud permits motion without"
+    sentence = f"no stem point among the {received} points of {' and '.join(names) or 'no cloud'} ({gone} not finite)"
+    raise Refusal(Status.NO_CLOUD, f"{sentence}; allow_empty_stem_cloud permits motion without")
 
 
 def _merged(parts: list[Scene], frame_id: str) -> Scene:
