@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from lime_planner.experiments.planner_runs import CLOCKS, paper_settings, run_lime
+from lime_planner.experiments.planner_runs import CLOCKS, paper_settings, run_lime, warm_up
 from lime_planner.experiments.problem_sets import choose_problems
 from lime_planner.experiments.problems import Problem, ProblemSpec, SceneSpec, build_problem, pipeline_of, scene_of
 from lime_planner.experiments.timing import Timing, repeat
@@ -202,7 +202,7 @@ def first_path(problems: Sequence[ProblemSpec], seeds: int, clock: str) -> Timin
     assert clock in CLOCKS
     for spec in problems:
         problem = build_problem(spec)
-        run_lime(problem, 0, 0.02, clock)
+        warm_up(problem, "lime_star")
         for seed in range(1, seeds + 1):
             curve = run_lime(problem, seed, _FIRST_PATH_BUDGET_S, clock)["curve"]
             samples.append(curve[0][0] if curve else np.inf)

@@ -23,6 +23,8 @@ Array = npt.NDArray[np.float64]
 
 CLOCKS: dict[str, Callable[[], float]] = {"wall": time.monotonic, "cpu": time.thread_time}
 
+_WARM_ITERATIONS = 800  # enough to pass through every part of a search
+
 #: The package's own planners in comparisons: the default, the paper's as published, and the paper's with the integral cost.
 OWN_METHODS = ("lime_star", "apf_rrt_star", "apf_rrt_star_integral", "rrt_star", "p_rrt_star")
 
@@ -131,6 +133,16 @@ def run_paper(problem: Problem, method: str, seed: int, marks_s: Sequence[float]
         if math.isfinite(cost) and cost <= curve.points[-1][2]:
             path = outcome.path
     return record(method, problem, seed, curve, seconds=max(marks_s), checks=checks, path=path, paths_through_stem=through_stem)
+
+
+def warm_up(problem: Problem, method: str) -> None:
+    """Load or compile everything that a method passes through, so that no measured run pays for it."""
+    goals = problem.goals.configurations
+    if method == "lime_star":
+        plan_lime(problem.space(), problem.start, goals, LimeOptions(weight=problem.settings.weight), 0, iterations=_WARM_ITERATIONS)
+    else:
+        plan_paper(problem.space(), problem.start, goals, paper_settings(problem, method), 0, iterations=_WARM_ITERATIONS // 10)
+    problem.cost(np.array([problem.start, goals[0]]))
 
 
 def run_own(problem: Problem, method: str, seed: int, marks_s: Sequence[float], clock: str = "wall") -> dict[str, Any]:

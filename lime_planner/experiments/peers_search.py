@@ -1,0 +1,71 @@
+"""The search for each peer's best settings: a small grid on plants of its own, kept with its results in `peer_settings.json`."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from lime_planner.experiments.comparison import Run, carry_out
+from lime_planner.experiments.planner_runs import cost_at
+from lime_planner.experiments.problems import ProblemSpec
+
+#: Values that are tried for each setting of a peer, every combination.
+GRIDS: dict[str, dict[str, Sequence[Any]]] = {
+    "ompl_rrt_star": {"range": (0.3, 0.8, 2.0), "goal_bias": (0.05, 0.2), "k_nearest": (False, True)},
+    "ompl_informed_rrt_star": {"range": (0.3, 0.8, 2.0), "goal_bias": (0.05, 0.2), "k_nearest": (False,), "rewire_factor": (1.1, 0.5)},
+    "ompl_bit_star": {"samples_per_batch": (50, 100, 300, 1000), "use_k_nearest": (True, False), "rewire_factor": (1.1, 0.7)},
+    "ompl_rrt_connect": {"range": (0.3, 1.0, 3.0), "shorten_rounds": (2, 10), "shorten_step": (0.1, 0.4)},
+    "pyroboplan": {"max_connection_dist": (0.3, 1.0, 3.0), "shorten_iterations": (100, 400)},
+}
+FAILURE = 100.0  # a run without a path counts as so many times the best cost
+
+
+def candidates(method: str) -> list[dict[str, Any]]:
+    """Every combination of a method's grid."""
+    grid = GRIDS[method]
+    return [dict(zip(grid, values, strict=True)) for values in itertools.product(*grid.values())]
+
+
+def search_runs(method: str, problems: Sequence[ProblemSpec], seconds: float, clock: str) -> list[Run]:
+    """The runs of one method's search."""
+    marks = (seconds / 10.0, seconds)
+    return [
+        Run(spec, method, 1, seconds, marks, clock, tuple(sorted(settings.items()))) for settings in candidates(method) for spec in problems
+    ]
+
+
+def carry_out_search(run: Run) -> dict[str, Any]:
+    """A run's record with its settings."""
+    return carry_out(run) | {"settings": dict(run.settings)}
+
+
+def _key(settings: Mapping[str, Any]) -> tuple[tuple[str, Any], ...]:
+    return tuple(sorted(settings.items()))
+
+
+def choose(method: str, trials: Sequence[Mapping[str, Any]], seconds: float) -> dict[str, Any]:
+    """Pick the settings with the lowest mean of log(J / best J of the problem), at a tenth of the budget and at its end.
+
+    Returns:
+        `settings`, and `tried`: every candidate with its score (a factor: 1.0 is the best of all everywhere).
+    """
+    own = [t for t in trials if t["method"] == method]
+    best: dict[str, float] = {}
+    for t in own:
+        best[t["problem"]] = min(best.get(t["problem"], math.inf), cost_at(t["curve"], math.inf))
+    scores: dict[tuple[tuple[str, Any], ...], list[float]] = {}
+    for t in own:
+        if math.isinf(best[t["problem"]]):
+            continue
+        for mark in (seconds / 10.0, seconds):
+            ratio = min(cost_at(t["curve"], mark) / best[t["problem"]], FAILURE)
+            scores.setdefault(_key(t["settings"]), []).append(math.log(ratio))
+    tried: list[dict[str, Any]] = [
+        {"settings": dict(key), "score": round(math.exp(float(np.mean(values))), 4)} for key, values in scores.items()
+    ]
+    tried.sort(key=lambda entry: entry["score"])
+    return {"settings": tried[0]["settings"] if tried else {}, "tried": tried}
