@@ -17,10 +17,11 @@ import pytest
 
 from lime_planner.errors import ParameterError, SceneError
 from lime_planner.experiments import wall, wall_trials
+from lime_planner.experiments.collection import load_results
 from lime_planner.experiments.runner import run_trials
 from lime_planner.experiments.wall_reference import MARKS, ROWS
 from lime_planner.experiments.wall_report import claims, statistics_text, table_text, tolerance, values, yardstick
-from lime_planner.experiments.wall_trials import WallOptions, collect, load_results, options_from
+from lime_planner.experiments.wall_trials import WallOptions, collect, options_from
 from lime_planner.planning.plane import random_wall
 
 TRIALS = 20
@@ -90,7 +91,7 @@ def test_processes_do_not_change_results_and_resume_adds_only_what_is_missing(tm
     alone, _ = collect(small(), tmp_path / "a.json", jobs=1, resume=False)
     parallel, complete = collect(small(), tmp_path / "b.json", jobs=2, resume=False)
     assert complete
-    assert without_times(alone) == without_times(parallel) == without_times(load_results(tmp_path / "b.json"))
+    assert without_times(alone) == without_times(parallel) == without_times(load_results(tmp_path / "b.json", "wall"))
     with pytest.raises(ParameterError, match="--resume"):
         collect(small(), tmp_path / "a.json", jobs=1, resume=False)
     with pytest.raises(ParameterError, match="another seed"):
@@ -104,6 +105,27 @@ def test_processes_do_not_change_results_and_resume_adds_only_what_is_missing(tm
     assert run == [("rrt_star", 2), ("apf_rrt_star_1", 2)]
     assert len(more["trials"]) == 6
     assert options_from(more) == small(trials=3)
+
+
+def test_a_cluster_is_asked_where_one_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[str] = []
+
+    def on_cluster(function: Any, tasks: Any, on_result: Any, *, scheduler: str, description: str) -> bool:
+        asked.append(scheduler)
+        return run_trials(function, list(reversed(tasks)), on_result, jobs=1, description=description)
+
+    monkeypatch.setattr("lime_planner.experiments.cluster.run_on_cluster", on_cluster)
+    alone, _ = collect(small(), tmp_path / "a.json", jobs=1, resume=False)
+    arguments = ["--scheduler", "tcp://here:8786", "--trials", "2", "--iterations", "600", "--marks", "300", "600", "--no-figures"]
+    args = parse(*arguments)
+    args.out = tmp_path / "out"
+    assert wall.run(args) == 0
+    assert asked == ["tcp://here:8786"]
+    everything = load_results(args.out / "results.json", "wall")
+    rows = [t for t in everything["trials"] if t["algorithm"] in alone["options"]["planners"]]
+    assert without_times({"trials": rows}) == without_times({"trials": alone["trials"]})
+    with pytest.raises(SystemExit):
+        parse("--jobs", "2", "--scheduler", "tcp://here:8786")
 
 
 def test_interruption_keeps_what_is_done(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
@@ -121,12 +143,12 @@ def test_interruption_keeps_what_is_done(tmp_path: Path, monkeypatch: pytest.Mon
     wall.add_arguments(parser)
     assert wall.run(parser.parse_args(arguments)) == 130
     assert "Stopped by ctrl-C" in capsys.readouterr().err
-    kept = load_results(tmp_path / "out" / "results.json")
+    kept = load_results(tmp_path / "out" / "results.json", "wall")
     assert (len(kept["trials"]), kept["complete"]) == (2, False)
     assert "**Incomplete**" in (tmp_path / "out" / "table.md").read_text()
     monkeypatch.setattr(wall_trials, "run_trial", original)
     assert wall.run(parser.parse_args([*arguments, "--resume"])) == 0
-    finished = load_results(tmp_path / "out" / "results.json")
+    finished = load_results(tmp_path / "out" / "results.json", "wall")
     assert (len(finished["trials"]), finished["complete"]) == (15, True)
 
 
@@ -147,7 +169,7 @@ def test_ctrl_c_reaches_parallel_runs(tmp_path: Path) -> None:
         process.kill()
     assert process.returncode == 130, errors
     assert "Stopped by ctrl-C" in errors
-    assert len(load_results(out / "results.json")["trials"]) >= 1
+    assert len(load_results(out / "results.json", "wall")["trials"]) >= 1
 
 
 def test_figures_of_another_wall(tmp_path: Path) -> None:
@@ -199,12 +221,12 @@ def test_options_from_the_command_line() -> None:
 
 def test_foreign_results_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "results.json"
-    for text, words in (("{", "not JSON"), ("{}", "does not hold a wall experiment")):
+    for text, words in (("{", "not JSON"), ("{}", "does not hold the experiment 'wall'")):
         path.write_text(text)
         with pytest.raises(SceneError, match=words):
-            load_results(path)
+            load_results(path, "wall")
     with pytest.raises(SceneError, match="cannot read"):
-        load_results(tmp_path / "absent.json")
+        load_results(tmp_path / "absent.json", "wall")
 
 
 def test_errors_in_trials_are_not_swallowed() -> None:

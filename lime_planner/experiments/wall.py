@@ -9,18 +9,22 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from lime_planner.errors import ParameterError
+from lime_planner.experiments.arguments import add_run_arguments
 
 if TYPE_CHECKING:
     from lime_planner.experiments.wall_trials import WallOptions
 
 
-def run_wall(options: WallOptions, out: Path, *, jobs: int | None = None, resume: bool = False, figures: bool = True) -> bool:
+def run_wall(
+    options: WallOptions, out: Path, *, jobs: int | None = None, scheduler: str | None = None, resume: bool = False, figures: bool = True
+) -> bool:
     """Run the experiment and write `results.json`, `table.md`, `statistics.md` and the figures to a folder.
 
     Args:
         options: what to run.
         out: the folder; made if it does not exist.
         jobs: number of processes (default: one for each processor).
+        scheduler: address of a Dask scheduler, whose workers run the trials instead.
         resume: continue an earlier run in the same folder.
         figures: draw the figures too.
 
@@ -38,7 +42,7 @@ def run_wall(options: WallOptions, out: Path, *, jobs: int | None = None, resume
     if importlib.util.find_spec("pingouin") is None:  # before the trials, not after them
         raise ModuleNotFoundError("the experiment's statistics need pingouin", name="pingouin")
     out.mkdir(parents=True, exist_ok=True)
-    results, complete = collect(options, out / "results.json", jobs=jobs or default_jobs(), resume=resume)
+    results, complete = collect(options, out / "results.json", jobs=jobs or default_jobs(), resume=resume, scheduler=scheduler)
     write_atomically(out / "table.md", table_text(results))
     write_atomically(out / "statistics.md", statistics_text(results))
     if figures and complete:
@@ -50,20 +54,16 @@ def run_wall(options: WallOptions, out: Path, *, jobs: int | None = None, resume
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the command's arguments."""
-    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for results, tables and figures")
+    add_run_arguments(parser)
     parser.add_argument("--wall", type=Path, metavar="FILE.json", help="another wall (default: geometry G, fitted to the paper)")
     parser.add_argument("--random-wall", type=int, metavar="SEED", help="a wall of another shape, made from a seed")
     parser.add_argument("--trials", type=int, default=100, metavar="N", help="trials for each row (default: %(default)s)")
-    parser.add_argument("--jobs", type=int, metavar="N", help="processes (default: one for each processor)")
-    parser.add_argument("--seed", type=int, default=0, metavar="N", help="seed of the whole experiment (default: %(default)s)")
     parser.add_argument("--iterations", type=int, default=5000, metavar="N", help="iterations of a run (default: %(default)s)")
     parser.add_argument("--marks", type=int, nargs="+", metavar="N", help="iterations to report at (default: 1000 2500 5000)")
     parser.add_argument("--propagate", action="store_true", help="hand rewired costs on to descendants")
     parser.add_argument(
         "--option", action="append", default=[], metavar="NAME=VALUE", help="another option of the planners, e.g. cost=integral"
     )
-    parser.add_argument("--resume", action="store_true", help="continue an earlier run in the same folder")
-    parser.add_argument("--no-figures", action="store_true", help="tables only")
 
 
 def _changes(assignments: list[str]) -> dict[str, Any]:
@@ -106,10 +106,11 @@ def run(args: argparse.Namespace) -> int:
         changes["propagate"] = True
     marks = tuple(args.marks) if args.marks else tuple(m for m in (1000, 2500, 5000) if m <= args.iterations) or (args.iterations,)
     options = WallOptions(world=world, trials=args.trials, seed=args.seed, iterations=args.iterations, marks=marks, changes=changes)
-    complete = run_wall(options, args.out, jobs=args.jobs, resume=args.resume, figures=not args.no_figures)
+    figures = not args.no_figures
+    complete = run_wall(options, args.out, jobs=args.jobs, scheduler=args.scheduler, resume=args.resume, figures=figures)
     print((args.out / "table.md").read_text())
     if not complete:
         print(f"Stopped by ctrl-C. What is done is in {args.out}; --resume continues it.", file=sys.stderr)
         return 130
-    print(f"Written to {args.out}: results.json, table.md, statistics.md" + ("" if args.no_figures else ", figures"))
+    print(f"Written to {args.out}: results.json, table.md, statistics.md" + (", figures" if figures else ""))
     return 0

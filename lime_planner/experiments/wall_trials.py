@@ -2,25 +2,21 @@
 
 from __future__ import annotations
 
-import json
 import math
-import time
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from lime_planner import __version__
-from lime_planner.errors import ParameterError, SceneError
-from lime_planner.experiments.runner import run_trials, write_json
+from lime_planner.errors import ParameterError
+from lime_planner.experiments import collection
+from lime_planner.experiments.collection import Plan
 from lime_planner.experiments.wall_reference import MARKS, ROWS, Row
 from lime_planner.planning.paper import PaperOptions, Snapshot, plan_paper
 from lime_planner.planning.plane import PlaneWorld, wall_g, world_from_dict
 
 _CURVE_POINTS = 20  # of the cost-over-iterations figure
-_SAVE_EVERY_S = 2.0
-_SAVE_SHARE = 0.02  # of the time may go into saving
 
 
 @dataclass(frozen=True)
@@ -143,23 +139,6 @@ def run_trial(task: Task) -> dict[str, Any]:
     }
 
 
-def load_results(path: Path) -> dict[str, Any]:
-    """Read a `results.json`.
-
-    Raises:
-        SceneError: it cannot be read, or is not one.
-    """
-    try:
-        data = json.loads(path.read_text())
-    except OSError as error:
-        raise SceneError(f"cannot read {path}: {error.strerror}") from error
-    except ValueError as error:
-        raise SceneError(f"{path} is not JSON: {error}") from error
-    if not isinstance(data, dict) or data.get("experiment") != "wall":
-        raise SceneError(f"{path} does not hold a wall experiment")
-    return data
-
-
 def options_from(results: dict[str, Any]) -> WallOptions:
     """Return the options that a `results.json` was made with."""
     described = results["options"]
@@ -178,62 +157,22 @@ def options_from(results: dict[str, Any]) -> WallOptions:
     )
 
 
-def _previous(path: Path, options: WallOptions) -> list[dict[str, Any]]:
-    """Return the finished trials of an earlier run with the same options."""
-    data = load_results(path)
-    ours = json.loads(json.dumps(options.description()))
-    for name, value in ours.items():
-        if data["options"].get(name) != value:
-            raise ParameterError(f"{path} was made with another {name}; resume with the same options, or use another folder")
-    return list(data["trials"])
+def plan_of(options: WallOptions) -> Plan[Task]:
+    """The experiment as trials for `lime_planner.experiments.collection`, a trial of every row in turn."""
+    return Plan(
+        "wall",
+        options.description(),
+        [Task(options, row, trial) for trial in range(options.trials) for row in options.rows],
+        run_trial,
+        lambda task: (task.row.key, task.trial),
+        lambda record: (record["algorithm"], record["trial"]),
+        {"trials_wanted": options.trials},
+    )
 
 
-def collect(options: WallOptions, path: Path, *, jobs: int, resume: bool) -> tuple[dict[str, Any], bool]:
-    """Run all trials that `path` does not hold yet and keep them there.
-
-    Args:
-        options: what to run.
-        path: `results.json`; written every few seconds, at the end, and on ctrl-C.
-        jobs: number of processes.
-        resume: keep the finished trials of an earlier run with the same options.
-
-    Returns:
-        The contents of the file, and False if ctrl-C ended the run early.
-
-    Raises:
-        ParameterError: an earlier run is there and `resume` is not set, or its options differ.
-    """
-    trials: list[dict[str, Any]] = []
-    if path.exists():
-        if not resume:
-            raise ParameterError(f"{path} exists: continue it with --resume, or use another folder")
-        trials = _previous(path, options)
-    done = {(t["algorithm"], t["trial"]) for t in trials}
-    tasks = [Task(options, row, n) for n in range(options.trials) for row in options.rows if (row.key, n) not in done]
-    results = {
-        "experiment": "wall",
-        "version": __version__,
-        "options": options.description(),
-        "trials_wanted": options.trials,
-        "complete": False,
-        "trials": trials,
-    }
-    next_save_s = time.monotonic() + _SAVE_EVERY_S
-
-    def keep(record: dict[str, Any]) -> None:
-        nonlocal next_save_s
-        trials.append(record)
-        now_s = time.monotonic()
-        if now_s > next_save_s:
-            write_json(path, results)
-            next_save_s = time.monotonic() + max(_SAVE_EVERY_S, (time.monotonic() - now_s) / _SAVE_SHARE)
-
-    if tasks:  # compiled once here; the processes then load it
-        row = options.rows[0]
-        plan_paper(options.world.space(), options.world.start, options.world.goal, options.planner_options(row), 0, iterations=1)
-    complete = run_trials(run_trial, tasks, keep, jobs=min(jobs, max(len(tasks), 1)), description=f"wall {options.world.name}")
-    order = {row.key: i for i, row in enumerate(options.rows)}
-    trials.sort(key=lambda t: (order[t["algorithm"]], t["trial"]))
-    results["complete"] = complete
-    write_json(path, results)
-    return results, complete
+def collect(options: WallOptions, path: Path, *, jobs: int, resume: bool, scheduler: str | None = None) -> tuple[dict[str, Any], bool]:
+    """Run all trials that `path` does not hold yet and keep them there; see `collection.collect`."""
+    if scheduler is None:  # compiled once here; the processes then load it
+        world, row = options.world, options.rows[0]
+        plan_paper(world.space(), world.start, world.goal, options.planner_options(row), 0, iterations=1)
+    return collection.collect(plan_of(options), path, jobs=jobs, resume=resume, scheduler=scheduler)
