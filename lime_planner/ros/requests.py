@@ -135,7 +135,9 @@ class Requests:
         with self._ready(ticket, snapshot) as loaded:
             self._come_to_rest(ticket, snapshot)
             last = self.execution.last
-            ticket.context["target"] = last.context.get("target")
+            target = last.context.get("target")
+            if isinstance(target, Target):
+                self._note_target(ticket, target)
             arm = self._arm(snapshot)
             waypoints = way_back(last.result.waypoints, arm.q, forward=last.retreat)
             number = self.source().newest_stem_number()
