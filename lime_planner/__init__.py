@@ -1,11 +1,13 @@
 """Plan the reach of a harvesting arm to a fruit inside a plant: around its stems and through as few leaves as it must.
 
-    import lime_planner as lp
+    from lime_planner import Robot, Scene, draw, plan
 
-    robot = lp.load_robot("kinova_j2s6s200")
-    scene = lp.load_scene("plant.npz")
-    result = lp.Pipeline(robot).plan(scene, lp.pose_to_matrix(scene.target_pose), lp.home(robot), lp.settings_from({"seed": 1}))
-    print(result.status, result.message)
+    robot = Robot.load("kinova_j2s6s200")
+    scene = Scene.load("plant.npz")
+    result = plan(scene, robot, seed=1)
+    print(result.message)
+    result.save("plan.json")
+    draw(result, scene, robot, "plan.png")
 
 The names here are loaded when they are first used.
 """
@@ -16,41 +18,43 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from lime_planner.api import draw, plan
+    from lime_planner.errors import LimePlannerError
     from lime_planner.parameters import Settings, settings_from
     from lime_planner.pipeline import Pipeline, PlanResult
     from lime_planner.poses import matrix_to_pose, pose_to_matrix
-    from lime_planner.robot.model import Robot, home, load_robot
-    from lime_planner.scene.files import load_scene, save_scene
-    from lime_planner.scene.plant import generate_plant
+    from lime_planner.robot.model import Robot
+    from lime_planner.scene.plant import PlantOptions, generate_plant
     from lime_planner.scene.scene import Scene
     from lime_planner.status import Status
 
 __version__ = "0.1.0"
 
 __all__ = [
+    "LimePlannerError",
     "Pipeline",
     "PlanResult",
+    "PlantOptions",
     "Robot",
     "Scene",
     "Settings",
     "Status",
+    "draw",
     "generate_plant",
-    "home",
-    "load_robot",
-    "load_scene",
     "matrix_to_pose",
+    "plan",
     "pose_to_matrix",
-    "save_scene",
     "settings_from",
 ]
 
 _MODULES = {
+    "lime_planner.api": ("draw", "plan"),
+    "lime_planner.errors": ("LimePlannerError",),
     "lime_planner.parameters": ("Settings", "settings_from"),
     "lime_planner.pipeline": ("Pipeline", "PlanResult"),
     "lime_planner.poses": ("matrix_to_pose", "pose_to_matrix"),
-    "lime_planner.robot.model": ("Robot", "home", "load_robot"),
-    "lime_planner.scene.files": ("load_scene", "save_scene"),
-    "lime_planner.scene.plant": ("generate_plant",),
+    "lime_planner.robot.model": ("Robot",),
+    "lime_planner.scene.plant": ("PlantOptions", "generate_plant"),
     "lime_planner.scene.scene": ("Scene",),
     "lime_planner.status": ("Status",),
 }

@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
+from typing import Any
+
+from lime_planner.errors import ParameterError
 
 
 @contextlib.contextmanager
@@ -26,3 +30,18 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
     finally:
         with contextlib.suppress(OSError):
             temporary.unlink(missing_ok=True)
+
+
+def write_json(path: str | os.PathLike[str], figures: Mapping[str, Any]) -> Path:
+    """Write figures as JSON; a reader never sees half a file.
+
+    Raises:
+        ParameterError: the file cannot be written.
+    """
+    path = Path(path)
+    try:
+        with replacing(path) as temporary:
+            temporary.write_text(json.dumps(figures, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    except OSError as error:
+        raise ParameterError(f"{path}: cannot be written ({error.strerror or error})") from error
+    return path

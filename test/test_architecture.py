@@ -24,7 +24,7 @@ ORDER = (
     ("motion",),
     ("pipeline",),
     ("ros", "experiments", "viewer"),
-    ("cli", "__main__"),
+    ("api", "cli", "__main__"),
 )
 RANK = {name: rank for rank, names in enumerate(ORDER) for name in names}
 
@@ -141,7 +141,7 @@ def test_modules_stay_short() -> None:
 
 def source_files() -> list[Path]:
     """Text files of the project, without what builds and tools leave behind."""
-    left = {".git", ".venv", "build", "install", "log", "out", "dist", "__pycache__"}
+    left = {".git", ".venv", "build", "install", "log", "out", "dist", "site", "__pycache__"}
     kinds = {"", ".cfg", ".in", ".md", ".py", ".rst", ".sh", ".toml", ".urdf", ".xml", ".yaml"}
     found = []
     for path in sorted(ROOT.rglob("*")):

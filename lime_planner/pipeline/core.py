@@ -137,6 +137,7 @@ class Pipeline:
                 phases_s=clock.phases,
                 counts=counts,
                 T_base_tool=T,
+                q_start=q,
                 **figures,
             )
 

@@ -107,6 +107,7 @@ def follow(
         planning_time_s=clock.elapsed(),
         phases_s=clock.phases,
         T_base_tool=T_base_tool,
+        q_start=path[0],
         **figures,
     )
 

@@ -2,38 +2,64 @@
 
 from __future__ import annotations
 
+import html
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from lime_planner.atomic import write_json
 from lime_planner.motion.trajectory import Trajectory
 from lime_planner.status import Status
 
 Array = npt.NDArray[np.float64]
 
+#: What is shown of a plan: name of the figure, words, unit, factor from the figure's unit, decimals.
+ROWS: tuple[tuple[str, str, str, float, int], ...] = (
+    ("planning_time_s", "planning time", "s", 1.0, 2),
+    ("path_length_rad", "path length, joints", "rad", 1.0, 2),
+    ("tool_path_length_m", "path length, tool", "m", 1.0, 3),
+    ("leaf_contact_rad", "leaf contact, joints", "rad", 1.0, 2),
+    ("tool_leaf_contact_m", "leaf contact, tool", "m", 1.0, 3),
+    ("min_stem_clearance_m", "smallest clearance to stems", "mm", 1000.0, 1),
+)
 
-@dataclass(frozen=True, eq=False)
+
+@dataclass(frozen=True, eq=False, repr=False)
 class PlanResult:
     """The outcome of one plan. Figures about the path are NaN, arrays empty, where there is none.
 
     Attributes:
-        status: what became of it; message: `CODE: sentence`.
-        planner, seed, iterations: which search, with which seed, and the configurations that it sampled.
-        planning_time_s: wall time of the whole plan; phases_s: of its parts.
-        cost: of the path, in the metric of the planner: `integral` (length + weight · ∫ leaf ds) or `node` (the paper's).
-        path_length_rad: length in joint space; collision_cost: the cost's part that leaves cause.
-        n_collision_nodes: waypoints that touch leaves; leaf_contact_rad: length of the path in contact with leaves.
-        tool_path_length_m, tool_leaf_contact_m: length of the tool's way, and of its part with leaf contact anywhere on the arm.
+        status: what became of it.
+        message: `CODE: sentence`.
+        planner: which search.
+        seed: of its random generator.
+        iterations: configurations that it sampled.
+        planning_time_s: wall time of the whole plan.
+        cost: of the path, in the metric of the planner.
+        cost_metric: `integral` (length + weight · ∫ leaf ds) or `node` (the paper's).
+        path_length_rad: length in joint space.
+        collision_cost: the cost's part that leaves cause.
+        n_collision_nodes: waypoints that touch leaves.
+        leaf_contact_rad: length of the path in contact with leaves.
+        tool_path_length_m: length of the tool's way.
+        tool_leaf_contact_m: length of its part with leaf contact anywhere on the arm.
         min_stem_clearance_m: smallest distance between arm and stem points' surface along the path, points hidden by the exclusion
             sphere left out; exact up to 2.5 cm, beyond that a lower bound, 0.5 without anything in reach.
-        goal_error_m, goal_error_rad: tool pose at the end against the target.
-        waypoints: (M, n) [rad]; trajectory: the timed motion, None where the path was refused before.
-        tool_path: (K, 7) poses x y z qx qy qz qw in the planning frame; tool_leaf: (K,) leaf intensity there.
+        goal_error_m: distance of the tool at the end from the target.
+        goal_error_rad: angle between the two.
+        waypoints: (M, n) [rad].
+        trajectory: the timed motion, None where the path was refused before.
+        tool_path: (K, 7) poses x y z qx qy qz qw in the planning frame.
+        tool_leaf: (K,) leaf intensity there.
+        phases_s: wall time of the plan's parts.
         counts: numbers of points used, dropped, hidden, of goals, of checks.
         T_base_tool: the target, (4, 4).
+        q_start: (n,) configuration that was planned from [rad].
     """
 
     status: Status
@@ -53,13 +79,42 @@ class PlanResult:
     min_stem_clearance_m: float = float("nan")
     goal_error_m: float = float("nan")
     goal_error_rad: float = float("nan")
-    waypoints: Array = field(default_factory=lambda: np.zeros((0, 0)), repr=False)
+    waypoints: Array = field(default_factory=lambda: np.zeros((0, 0)))
     trajectory: Trajectory | None = None
-    tool_path: Array = field(default_factory=lambda: np.zeros((0, 7)), repr=False)
-    tool_leaf: Array = field(default_factory=lambda: np.zeros(0), repr=False)
+    tool_path: Array = field(default_factory=lambda: np.zeros((0, 7)))
+    tool_leaf: Array = field(default_factory=lambda: np.zeros(0))
     phases_s: Mapping[str, float] = field(default_factory=dict)
     counts: Mapping[str, int] = field(default_factory=dict)
-    T_base_tool: Array | None = field(default=None, repr=False)
+    T_base_tool: Array | None = None
+    q_start: Array | None = None
+
+    @property
+    def succeeded(self) -> bool:
+        """Whether there is a certified, timed motion to the target."""
+        return self.status is Status.SUCCEEDED
+
+    def __repr__(self) -> str:
+        return f"<PlanResult {self.message}>"
+
+    def _repr_html_(self) -> str:
+        """Return the figures that matter as a table, for notebooks."""
+        rows = [("planner, seed", f"{self.planner}, {self.seed}")]
+        for name, words, unit, factor, decimals in ROWS:
+            value = float(getattr(self, name))
+            rows.append((f"{words} [{unit}]", f"{value * factor:.{decimals}f}" if np.isfinite(value) else "–"))
+        duration = f"{self.trajectory.duration_s:.2f}" if self.trajectory is not None else "–"
+        rows.append(("duration of the motion [s]", duration))
+        cells = "".join(f"<tr><td>{html.escape(words)}</td><td>{html.escape(text)}</td></tr>" for words, text in rows)
+        code, _, sentence = self.message.partition(": ")
+        return f"<p><b>{html.escape(code)}</b>: {html.escape(sentence)}</p><table>{cells}</table>"
+
+    def save(self, path: str | os.PathLike[str]) -> Path:
+        """Write `figures` as JSON, the file of `lime-planner plan --json`; a reader never sees half of it.
+
+        Raises:
+            ParameterError: the file cannot be written.
+        """
+        return write_json(path, self.figures())
 
     def figures(self) -> dict[str, Any]:
         """Everything but the tool path as plain Python numbers, lists and dictionaries, ready for JSON; NaN becomes None."""

@@ -5,10 +5,12 @@ Joint frames are the URDF's, turned where needed so that every axis is +z (`lime
 
 from __future__ import annotations
 
+import os
 import xml.etree.ElementTree as ET
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -26,7 +28,7 @@ __all__ = ["LinkMesh", "Robot", "home", "load_robot", "robot_from_urdf"]
 Array = npt.NDArray[np.float64]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Robot:
     """A serial arm of n turning joints. Compared by identity, so that it may be a key.
 
@@ -62,10 +64,31 @@ class Robot:
     reach_m: float
     urdf: str
 
+    @classmethod
+    def load(cls, name_or_path: str | os.PathLike[str], **options: Any) -> Robot:
+        """Load a built-in arm or a URDF file.
+
+        Args:
+            name_or_path: a built-in name (`kinova_j2s6s200`, `kinova_j2n6s300`) or the path of a URDF file.
+            **options: `joint_names`, `planning_frame`, `tool_frame`, `locked` of `lime_planner.robot.model.load_robot`.
+
+        Raises:
+            RobotError: no such robot or file, or a description that cannot be used.
+        """
+        return load_robot(os.fspath(name_or_path), **options)
+
+    def __repr__(self) -> str:
+        return f"<Robot {self.name}: {self.n} joints, from {self.planning_frame} to {self.tool_frame}>"
+
     @property
     def n(self) -> int:
         """Number of joints."""
         return len(self.joint_names)
+
+    @property
+    def home(self) -> Array:
+        """A ready configuration within the limits and free of self-collision, (n,) [rad]; see `home`."""
+        return home(self)
 
     def link_poses(self, q: npt.ArrayLike) -> Array:
         """Return T_base_joint of every joint frame, (n + 1, 4, 4); the first is the base's identity.

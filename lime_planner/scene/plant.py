@@ -85,12 +85,13 @@ class PlantOptions:
             raise ParameterError(f"trunk_m: {self.trunk_m} leaves less than 0.1 m of canopy under height_m {self.height_m}")
 
 
-def generate_plant(rng: np.random.Generator, options: PlantOptions | None = None) -> Scene:
-    """Grow a lime plant; the same generator state gives the same scene.
+def generate_plant(rng: np.random.Generator | int, options: PlantOptions | None = None) -> Scene:
+    """Grow a lime plant from a seed, or a generator; the same seed gives the same scene.
 
     Leaves with their petioles are permeable; trunk, branches, twigs and the limes' pedicels are impermeable. The target pose is
     a grasp (see `lime_planner.scene.targets`) of the lime that is best hidden among leaves; None on a plant without limes.
     """
+    rng = np.random.default_rng(rng)
     options = options or PlantOptions()
     base = np.array(options.position_m, dtype=np.float64)
     half_height = 0.5 * (options.height_m - options.trunk_m)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import os
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -43,7 +44,7 @@ def _frozen(name: str, value: Any, dtype: Any, shape: tuple[int, ...]) -> npt.ND
     return array
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
+@dataclasses.dataclass(frozen=True, eq=False, repr=False)
 class Scene:
     """What stands in front of the arm. All lengths in metres, in the frame `frame_id` (the planning frame), z up.
 
@@ -106,10 +107,41 @@ class Scene:
             raise SceneError("target_pose: its quaternion has length zero; it must describe a rotation")
         object.__setattr__(self, "counts", dict(self.counts))
 
+    def __repr__(self) -> str:
+        numbers = f"{len(self.leaf_points)} leaf, {len(self.stem_points)} stem and {len(self.fruit_points)} fruit points"
+        return f"<Scene of {numbers} in {self.frame_id or 'the planning frame'}, {'no' if self.target_pose is None else 'with a'} target>"
+
     @property
     def n_points(self) -> int:
         """Number of points of all classes."""
         return len(self.leaf_points) + len(self.stem_points) + len(self.fruit_points)
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str], *, frame_id: str = "", **options: Any) -> Scene:
+        """Load a scene file: `.npz`, `.ply` or `.pcd`.
+
+        Args:
+            path: the file.
+            frame_id: the frame of a file that names none; empty: the planning frame of whatever arm plans in it.
+            **options: `scale`, `offset`, `label_field`, `leaf_labels`, `stem_labels`, `fruit_label`, `ignored_labels` of
+                `lime_planner.scene.files.load_scene`.
+
+        Raises:
+            SceneError: the file cannot be used.
+        """
+        from lime_planner.scene.files import load_scene
+
+        return load_scene(path, default_frame=frame_id, **options)
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write a scene file; a PLY or PCD keeps points, labels and costs only.
+
+        Raises:
+            SceneError: the suffix is unknown or the file cannot be written.
+        """
+        from lime_planner.scene.files import save_scene
+
+        save_scene(path, self)
 
     @classmethod
     def from_points(

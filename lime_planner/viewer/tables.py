@@ -2,27 +2,16 @@
 
 from __future__ import annotations
 
-import json
-import os
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from lime_planner.atomic import replacing
-from lime_planner.errors import ParameterError
+from lime_planner.atomic import write_json
+from lime_planner.pipeline.result import ROWS
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-#: What is shown of a plan: key of its figures, words, unit, factor from the figure's unit, decimals.
-ROWS: tuple[tuple[str, str, str, float, int], ...] = (
-    ("planning_time_s", "planning time", "s", 1.0, 2),
-    ("path_length_rad", "path length, joints", "rad", 1.0, 2),
-    ("tool_path_length_m", "path length, tool", "m", 1.0, 3),
-    ("leaf_contact_rad", "leaf contact, joints", "rad", 1.0, 2),
-    ("tool_leaf_contact_m", "leaf contact, tool", "m", 1.0, 3),
-    ("min_stem_clearance_m", "smallest clearance to stems", "mm", 1000.0, 1),
-)
+__all__ = ["ROWS", "cell", "console", "headline", "print_plans", "write_json"]
 
 
 def console(*, error: bool = False) -> Console:
@@ -68,18 +57,3 @@ def print_plans(title: str, columns: Sequence[tuple[str, Mapping[str, Any]]], ex
     for words, texts in extra:
         table.add_row(words.replace("[", r"\["), *texts)
     console().print(table)
-
-
-def write_json(path: str | os.PathLike[str], figures: Mapping[str, Any]) -> Path:
-    """Write figures as JSON; a reader never sees half a file.
-
-    Raises:
-        ParameterError: the file cannot be written.
-    """
-    path = Path(path)
-    try:
-        with replacing(path) as temporary:
-            temporary.write_text(json.dumps(figures, indent=1, allow_nan=False) + "\n", encoding="utf-8")
-    except OSError as error:
-        raise ParameterError(f"{path}: cannot be written ({error.strerror or error})") from error
-    return path

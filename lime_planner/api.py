@@ -1,0 +1,119 @@
+"""The front door for Python: one call from a scene and an arm to a motion, through the very pipeline of node and command line."""
+
+from __future__ import annotations
+
+import os
+import threading
+from collections.abc import Callable
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from lime_planner.errors import ParameterError, SceneError
+from lime_planner.parameters import NODE_PARAMETERS, settings_from
+from lime_planner.pipeline import Pipeline, PlanResult
+from lime_planner.pipeline.steps import never
+from lime_planner.poses import matrix_to_pose, pose_to_matrix
+from lime_planner.robot.model import Robot
+from lime_planner.scene.scene import Scene
+
+_OF_THE_ROBOT = ("robot", "arm_joints", "planning_frame", "tool_frame")
+_ROBOTS_KEPT = 4
+
+
+@lru_cache(maxsize=_ROBOTS_KEPT)
+def _warm_pipeline(robot: Robot) -> tuple[Pipeline, threading.Lock]:
+    pipeline = Pipeline(robot)
+    pipeline.warm_up()  # compiling must not eat a plan's time budget
+    return pipeline, threading.Lock()
+
+
+def plan(
+    scene: Scene,
+    robot: Robot,
+    *,
+    target: npt.ArrayLike | None = None,
+    start: npt.ArrayLike | None = None,
+    should_stop: Callable[[], bool] = never,
+    deadline_s: float | None = None,
+    **parameters: Any,
+) -> PlanResult:
+    """Plan a motion of the arm to a target: around stems, and through as few leaves as it must.
+
+    The first plan with a robot loads the compiled kernels, which takes seconds (a minute or two after an update). Threads may
+    call it; plans of one robot wait for each other.
+
+    Args:
+        scene: what stands in front of the arm, in the arm's planning frame.
+        robot: the arm.
+        target: pose of the tool at the fruit in the planning frame, as (7,) x y z qx qy qz qw or as a (4, 4) matrix; the
+            scene's own by default.
+        start: (n,) joint angles [rad], turns kept; the arm's ready configuration by default.
+        should_stop: True cancels; asked every few milliseconds.
+        deadline_s: wall time from now for the whole plan; by default the search has `time_budget_s` and the rest what it needs.
+        **parameters: any planning parameter by its name, such as `time_budget_s`, `iterations`, `seed`, `c_perm`, `planner`,
+            `leaf_policy`, `stem_margin_m`, `keep_out_boxes`; `lime-planner parameters` lists them.
+
+    Returns:
+        The result, whatever became of it: `result.status` says what, and `result.succeeded` whether there is a motion.
+
+    Raises:
+        SceneError: the scene is in another frame than the arm's, or no target is known.
+        ParameterError: an unknown parameter, or a value out of range.
+        ProblemError: a target that is no pose, or a start of the wrong size.
+    """
+    for name in parameters:
+        if name in NODE_PARAMETERS:
+            raise ParameterError(f"{name}: only the node has a use for this parameter")
+        if name in _OF_THE_ROBOT:
+            raise ParameterError(f"{name}: the robot is loaded already; give this to Robot.load")
+    settings = settings_from(parameters)
+    if scene.frame_id not in ("", robot.planning_frame):
+        raise SceneError(
+            f"the scene is in the frame {scene.frame_id!r} and the arm plans in {robot.planning_frame!r}; "
+            "if they are the same, set it with dataclasses.replace(scene, frame_id=...)"
+        )
+    goal = scene.target_pose if target is None else target
+    if goal is None:
+        raise SceneError("the scene has no target_pose; give one: target=(x, y, z, qx, qy, qz, qw)")
+    pose = np.asarray(goal, dtype=np.float64)
+    T_base_tool = pose if pose.shape == (4, 4) else pose_to_matrix(pose)
+    q_start = robot.home if start is None else start
+    pipeline, lock = _warm_pipeline(robot)
+    with lock:
+        return pipeline.plan(scene, T_base_tool, q_start, settings, should_stop=should_stop, deadline_s=deadline_s, seed=settings.seed)
+
+
+def draw(result: PlanResult, scene: Scene, robot: Robot, path: str | os.PathLike[str]) -> Path:
+    """Draw plant, arm and the tool's path, coloured by leaf contact, from the side and from above.
+
+    Args:
+        result: a plan, found or refused.
+        scene: the scene it was made in.
+        robot: the arm.
+        path: the picture; `.png`, `.svg` or `.pdf`.
+
+    Returns:
+        The picture's path.
+
+    Raises:
+        ParameterError: a suffix that is not supported, or a file that cannot be written.
+    """
+    from lime_planner.viewer.picture import draw_picture
+    from lime_planner.viewer.tables import headline
+
+    found = len(result.waypoints) > 0
+    return draw_picture(
+        path,
+        scene,
+        robot,
+        q_start=robot.home if result.q_start is None else result.q_start,
+        q_goal=result.waypoints[-1] if found else None,
+        tool_path=result.tool_path if found else None,
+        tool_leaf=result.tool_leaf if found else None,
+        target_pose=None if result.T_base_tool is None else matrix_to_pose(result.T_base_tool),
+        title=headline(result.figures()) if result.succeeded else result.status.name,
+    )

@@ -1,0 +1,99 @@
+"""The front door for Python: friendly, typed, and the same pipeline behind it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from arm_helpers import plant, robot_named
+
+from lime_planner import PlanResult, PlantOptions, Robot, Scene, Status, draw, generate_plant, plan
+from lime_planner.api import _warm_pipeline
+from lime_planner.errors import ParameterError, ProblemError, SceneError
+from lime_planner.poses import pose_to_matrix
+from lime_planner.robot.model import load_robot
+from lime_planner.scene.files import load_scene
+
+
+@pytest.fixture(scope="module")
+def robot() -> Robot:
+    return robot_named()
+
+
+@pytest.fixture(scope="module")
+def result(robot: Robot) -> PlanResult:
+    return plan(plant(15), robot, seed=2, iterations=400)
+
+
+def test_a_plan_in_one_call(robot: Robot, result: PlanResult) -> None:
+    assert result.succeeded and result.status is Status.SUCCEEDED, result.message
+    target = plant(15).target_pose
+    assert target is not None and result.T_base_tool == pytest.approx(pose_to_matrix(target))
+    assert result.q_start == pytest.approx(robot.home)
+    again = plan(plant(15), robot, target=pose_to_matrix(target), start=robot.home, seed=2, iterations=400)
+    assert np.array_equal(again.waypoints, result.waypoints)
+    assert _warm_pipeline(robot)[0] is _warm_pipeline(robot)[0]
+
+
+def test_a_result_is_easy_to_look_at(result: PlanResult) -> None:
+    assert repr(result) == f"<PlanResult {result.message}>"
+    table = result._repr_html_()
+    assert "<b>SUCCEEDED</b>" in table and f"{result.path_length_rad:.2f}" in table and table.count("<tr>") == 8
+    refused = PlanResult(Status.NO_PATH, "NO_PATH: <none>", "lime_star", 1)
+    assert "&lt;none&gt;" in refused._repr_html_() and "–" in refused._repr_html_()
+    assert not refused.succeeded
+
+
+def test_a_result_is_saved_as_the_command_line_saves_it(result: PlanResult, tmp_path: Path) -> None:
+    path = result.save(tmp_path / "deep" / "plan.json")
+    assert json.loads(path.read_text()) == json.loads(json.dumps(result.figures()))
+    (tmp_path / "file").write_text("")
+    with pytest.raises(ParameterError, match="cannot be written"):
+        result.save(tmp_path / "file" / "plan.json")
+
+
+def test_found_and_refused_plans_are_drawn(robot: Robot, result: PlanResult, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    given = {}
+    monkeypatch.setattr("lime_planner.viewer.picture.draw_picture", lambda *args, **options: given.update(options) or args[0])
+    assert draw(result, plant(15), robot, tmp_path / "a.png") == tmp_path / "a.png"
+    assert given["q_goal"] == pytest.approx(result.waypoints[-1]) and "leaf contact" in given["title"]
+    start = robot.home + 0.1
+    refused = PlanResult(Status.NO_PATH, "NO_PATH: none", "lime_star", 1, q_start=start)
+    draw(refused, plant(15), robot, tmp_path / "b.png")
+    assert given["q_goal"] is None and given["q_start"] is start and given["title"] == "NO_PATH"
+
+
+def test_callers_mistakes_are_named(robot: Robot) -> None:
+    scene = plant(15)
+    with pytest.raises(ParameterError, match="did you mean time_budget_s"):
+        plan(scene, robot, time_budget=1.0)
+    with pytest.raises(ParameterError, match="motion_enabled: only the node"):
+        plan(scene, robot, motion_enabled=True)
+    with pytest.raises(ParameterError, match="tool_frame: the robot is loaded already"):
+        plan(scene, robot, tool_frame="hand")
+    with pytest.raises(ProblemError, match="a pose needs 7 numbers"):
+        plan(scene, robot, target=[0.5, 0.0, 0.5])
+    bare = Scene.from_points(scene.stem_points, np.ones(len(scene.stem_points), int))
+    with pytest.raises(SceneError, match="no target_pose"):
+        plan(bare, robot)
+    foreign = Scene.from_points(scene.stem_points, np.ones(len(scene.stem_points), int), frame_id="camera")
+    with pytest.raises(SceneError, match="in the frame 'camera'"):
+        plan(foreign, robot, target=[0.5, 0, 0.5, 0, 0, 0, 1])
+
+
+def test_scenes_and_robots_load_by_their_class(tmp_path: Path) -> None:
+    options = PlantOptions(density="sparse", n_limes=2)
+    scene = generate_plant(3, options)
+    assert np.array_equal(scene.leaf_points, generate_plant(np.random.default_rng(3), options).leaf_points)
+    scene.save(tmp_path / "a.npz")
+    again = Scene.load(tmp_path / "a.npz", offset=(0.1, 0.0, 0.0))
+    assert again.frame_id == "base"
+    assert again.stem_points == pytest.approx(scene.stem_points + np.float32([0.1, 0.0, 0.0]), abs=1e-6)
+    scene.save(tmp_path / "a.ply")
+    assert Scene.load(tmp_path / "a.ply").frame_id == "" and load_scene(tmp_path / "a.ply").frame_id == "base"
+    assert "no target" in repr(Scene.load(tmp_path / "a.ply")) and "with a target" in repr(scene)
+    robot = Robot.load("kinova_j2n6s300")
+    assert robot.joint_names == load_robot("kinova_j2n6s300").joint_names
+    assert repr(robot) == "<Robot kinova_j2n6s300: 6 joints, from base to j2n6s300_end_effector>"
