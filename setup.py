@@ -26,6 +26,7 @@ INSTALL_REQUIRES = [
     "open3d>=0.18; sys_platform != 'linux' or platform_machine != 'x86_64'",
     "matplotlib>=3.8",
     "rich>=13.0",
+    "packaging>=23.0",  # `lime-planner doctor` reads this list
 ]
 
 EXTRAS_REQUIRE = {

@@ -38,6 +38,7 @@ COMMANDS = (
     Command(("scene", "plant"), "lime_planner.cli_scene_plant", "grow a lime plant from a seed"),
     Command(("scene", "tomatowur"), "lime_planner.cli_scene_tomatowur", "obtain public scans of real tomato plants"),
     Command(("scene", "info"), "lime_planner.cli_scene_info", "say what a scene file holds"),
+    Command(("doctor",), "lime_planner.cli_doctor", "check the installation, ROS 2, the arm and the clouds"),
     Command(("parameters",), "lime_planner.cli_parameters", "list every parameter that --set and the node understand"),
     Command(("experiment", "wall"), "lime_planner.experiments.wall", "the paper's experiment on the plane", "--trials 20 --out wall"),
     Command(("experiment", "lime"), "lime_planner.experiments.lime", "the paper's experiment with the arm", "--trials 20 --out lime"),

@@ -17,13 +17,13 @@ MAX_LINES = 350
 
 #: Imports point only backwards along this order; modules of one row may import each other as long as there is no circle.
 ORDER = (
-    ("errors", "status", "atomic", "jit", "space", "parameters", "poses", ""),
+    ("errors", "status", "atomic", "jit", "space", "parameters", "parameter_file", "poses", ""),
     ("scene",),
     ("robot",),
     ("planning",),
     ("motion",),
     ("pipeline",),
-    ("ros", "experiments", "viewer"),
+    ("doctor", "ros", "experiments", "viewer"),
     ("api", "cli", "__main__"),
 )
 RANK = {name: rank for rank, names in enumerate(ORDER) for name in names}
