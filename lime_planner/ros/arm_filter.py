@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import dataclasses
 from functools import partial
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
 from lime_planner.robot.model import Robot
 from lime_planner.robot.surface import ArmSurface
-from lime_planner.ros.scene_source import ArmFilter
 from lime_planner.scene.clean import clean_scene, remove_arm
 from lime_planner.scene.scene import Scene
+
+if TYPE_CHECKING:
+    from lime_planner.ros.scene_source import ArmFilter  # which needs ROS; recordings are read without
 
 _BEYOND_REACH_M = 0.1  #: what the arm's surface and the margins may reach beyond its reach
 _SLACK_M = 0.001

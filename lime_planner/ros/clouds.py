@@ -1,128 +1,49 @@
-"""PointCloud2 to arrays and back: fields by name, every number type, byte order and padding."""
+"""ROS point clouds to arrays and back; what cannot be used is refused with BAD_INPUT."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+import contextlib
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 import numpy.typing as npt
 from sensor_msgs.msg import PointCloud2, PointField
 
+from lime_planner.errors import SceneError
 from lime_planner.ros.refusal import Refusal
+from lime_planner.scene import point_cloud2
+from lime_planner.scene.point_cloud2 import TYPES, XYZ, Cloud
 from lime_planner.status import Status
 
-#: NumPy types (without byte order) of `PointField.datatype`.
-_TYPES = {
-    PointField.INT8: "i1",
-    PointField.UINT8: "u1",
-    PointField.INT16: "i2",
-    PointField.UINT16: "u2",
-    PointField.INT32: "i4",
-    PointField.UINT32: "u4",
-    PointField.FLOAT32: "f4",
-    PointField.FLOAT64: "f8",
-}
-_FROM_NUMPY = {np.dtype(name): number for number, name in _TYPES.items()}
-_XYZ = ("x", "y", "z")
+_FROM_NUMPY = {np.dtype(name): number for number, name in TYPES.items()}
 
 
-@dataclass(frozen=True)
-class Cloud:
-    """A decoded cloud.
-
-    Attributes:
-        points: (N, 3) float32 [m], in the message's frame; rows may be NaN.
-        columns: the further fields asked for and present, (N,) each, in their own types.
-    """
-
-    points: npt.NDArray[np.float32]
-    columns: Mapping[str, npt.NDArray[np.generic]]
+@contextlib.contextmanager
+def _refusing() -> Iterator[None]:
+    try:
+        yield
+    except SceneError as error:
+        raise Refusal(Status.BAD_INPUT, str(error)) from None
 
 
-def _refuse(topic: str, sentence: str) -> Refusal:
-    return Refusal(Status.BAD_INPUT, f"{topic} {sentence}")
-
-
-def check_layout(msg: PointCloud2, topic: str, required: tuple[str, ...] = _XYZ) -> None:
-    """Check a cloud's header, fields and sizes without reading its points.
-
-    Args:
-        msg: the message.
-        topic: its topic's short name, for sentences.
-        required: the fields that must be there.
+def check_layout(msg: PointCloud2, topic: str, required: tuple[str, ...] = XYZ) -> None:
+    """Check a cloud as `point_cloud2.check_layout` does.
 
     Raises:
         Refusal: BAD_INPUT with what is wrong, what is there, and what was expected.
     """
-    if not msg.header.frame_id.strip("/ "):
-        raise _refuse(topic, "has an empty frame_id; it must name the frame of its points")
-    count = int(msg.width) * int(msg.height)
-    if count == 0:
-        return  # an empty cloud needs no fields: point cloud libraries publish it without any
-    names = [field.name for field in msg.fields]
-    for name in required:
-        if name not in names:
-            raise _refuse(topic, f"has no field {name!r}; its fields are {', '.join(names) or 'none'}")
-        if names.count(name) > 1:
-            raise _refuse(topic, f"has the field {name!r} {names.count(name)} times")
-    for field in msg.fields:
-        if field.name in required:
-            _check_field(msg, field, topic)
-    row_length = int(msg.width) * int(msg.point_step)
-    if msg.height > 1 and msg.row_step < row_length:
-        raise _refuse(topic, f"has row_step {msg.row_step}, less than width x point_step = {row_length}")
-    needed = (int(msg.height) - 1) * int(msg.row_step if msg.height > 1 else row_length) + row_length
-    if len(msg.data) < needed:
-        raise _refuse(topic, f"holds {len(msg.data)} bytes, but its header announces {count} points in {needed} bytes")
-
-
-def _check_field(msg: PointCloud2, field: PointField, topic: str) -> None:
-    if field.datatype not in _TYPES:
-        raise _refuse(topic, f"has field {field.name!r} of datatype {field.datatype}; known are 1 to 8")
-    if field.count > 1:
-        raise _refuse(topic, f"has field {field.name!r} with count {field.count}; expected 1")
-    size = np.dtype(_TYPES[field.datatype]).itemsize
-    if field.offset + size > msg.point_step:
-        end = field.offset + size
-        raise _refuse(topic, f"has field {field.name!r} at bytes {field.offset} to {end}, beyond point_step {msg.point_step}")
+    with _refusing():
+        point_cloud2.check_layout(msg, topic, required)
 
 
 def decode_cloud(msg: PointCloud2, topic: str, *, required: tuple[str, ...] = (), optional: tuple[str, ...] = ()) -> Cloud:
-    """Read a cloud's points and some of its further fields.
-
-    Args:
-        msg: the message; organised clouds, padded points and rows, both byte orders.
-        topic: its topic's short name, for sentences.
-        required: further fields that must be there (beyond x, y, z).
-        optional: further fields that are read where they are there.
+    """Read a cloud as `point_cloud2.decode_cloud` does.
 
     Raises:
         Refusal: BAD_INPUT, see `check_layout`.
     """
-    present = {field.name: field for field in msg.fields}
-    wanted = (*_XYZ, *required, *(name for name in optional if name in present))
-    check_layout(msg, topic, wanted)
-    count = int(msg.width) * int(msg.height)
-    if count == 0:
-        return Cloud(np.empty((0, 3), np.float32), {name: np.empty(0, np.float32) for name in wanted[3:]})
-    order = ">" if msg.is_bigendian else "<"
-    layout = np.dtype(
-        {
-            "names": list(wanted),
-            "formats": [order + _TYPES[present[name].datatype] for name in wanted],
-            "offsets": [int(present[name].offset) for name in wanted],
-            "itemsize": int(msg.point_step),
-        }
-    )
-    strides = (int(msg.row_step) if msg.height > 1 else count * int(msg.point_step), int(msg.point_step))
-    table = np.ndarray((int(msg.height), int(msg.width)), dtype=layout, buffer=memoryview(msg.data), strides=strides)
-    points = np.empty((count, 3), np.float32)
-    with np.errstate(over="ignore", invalid="ignore"):
-        for axis, name in enumerate(_XYZ):
-            points[:, axis] = table[name].reshape(-1)
-    columns = {name: table[name].reshape(-1).astype(table[name].dtype.newbyteorder("=")) for name in wanted[3:]}
-    return Cloud(points, columns)
+    with _refusing():
+        return point_cloud2.decode_cloud(msg, topic, required=required, optional=optional)
 
 
 def encode_cloud(points: npt.ArrayLike, columns: Mapping[str, npt.NDArray[np.generic]] | None = None) -> PointCloud2:
@@ -134,9 +55,9 @@ def encode_cloud(points: npt.ArrayLike, columns: Mapping[str, npt.NDArray[np.gen
     """
     xyz = np.asarray(points, dtype=np.float32).reshape(-1, 3)
     further = dict(columns or {})
-    layout = np.dtype([(name, "<f4") for name in _XYZ] + [(name, column.dtype.newbyteorder("<")) for name, column in further.items()])
+    layout = np.dtype([(name, "<f4") for name in XYZ] + [(name, column.dtype.newbyteorder("<")) for name, column in further.items()])
     table = np.empty(len(xyz), dtype=layout)
-    for axis, name in enumerate(_XYZ):
+    for axis, name in enumerate(XYZ):
         table[name] = xyz[:, axis]
     for name, column in further.items():
         table[name] = column

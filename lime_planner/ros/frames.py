@@ -15,6 +15,7 @@ from lime_planner.errors import ParameterError, ProblemError
 from lime_planner.poses import pose_to_matrix
 from lime_planner.ros.refusal import Refusal
 from lime_planner.status import Status
+from lime_planner.transforms import TransformTree, clean_name
 
 Array = npt.NDArray[np.float64]
 
@@ -38,11 +39,6 @@ class Frames(Protocol):
         ...
 
 
-def clean_name(frame: str) -> str:
-    """Return a frame's name without the leading slash of old publishers."""
-    return frame.strip().lstrip("/")
-
-
 class StaticFrames:
     """Transforms that never change, chained over any number of frames."""
 
@@ -55,7 +51,7 @@ class StaticFrames:
         Raises:
             ParameterError: an entry that cannot be read.
         """
-        self._neighbours: dict[str, dict[str, Array]] = {}
+        self._tree = TransformTree()
         for text in transforms:
             words = text.replace(",", " ").split()
             try:
@@ -64,30 +60,17 @@ class StaticFrames:
                 T_parent_child = pose_to_matrix([float(word) for word in words[2:]])
             except (ValueError, ProblemError) as error:
                 raise ParameterError(f"static_transforms: {text!r} is not `parent child x y z qx qy qz qw` ({error})") from None
-            parent, child = clean_name(words[0]), clean_name(words[1])
-            self._neighbours.setdefault(parent, {})[child] = T_parent_child
-            self._neighbours.setdefault(child, {})[parent] = np.asarray(np.linalg.inv(T_parent_child), dtype=np.float64)
+            self._tree.add(words[0], words[1], T_parent_child)
 
     def find(self, target: str, source: str) -> Array | None:
         """Return T_target_source (4, 4), or None where no chain connects them."""
-        target, source = clean_name(target), clean_name(source)
-        reached = {target: np.eye(4)}
-        front = [target]
-        while front and source not in reached:
-            following = []
-            for frame in front:
-                for neighbour, T_frame_neighbour in self._neighbours.get(frame, {}).items():
-                    if neighbour not in reached:
-                        reached[neighbour] = reached[frame] @ T_frame_neighbour
-                        following.append(neighbour)
-            front = following
-        return reached.get(source)
+        return self._tree.find(target, source)
 
     def lookup(self, target: str, source: str, stamp: Time, timeout_s: float, should_stop: Callable[[], bool]) -> Array:
         """See `Frames.lookup`; nothing is waited for."""
         found = self.find(target, source)
         if found is None:
-            known = ", ".join(sorted(self._neighbours)) or "none"
+            known = ", ".join(self._tree.frames) or "none"
             raise Refusal(
                 Status.TF_ERROR,
                 f"no transform from {source!r} to {target!r}; tf2 is not there and static_transforms knows the frames: {known}",
