@@ -58,16 +58,17 @@ _WARNING_PERIOD_S = 5.0
 class PlannerNode(Node):
     """The node `lime_planner`."""
 
-    def __init__(self, builder: Builder = build) -> None:
+    def __init__(self, builder: Builder = build, **options: Any) -> None:
         """Declare parameters, open topics and services, start the threads.
 
         Args:
             builder: makes robot and pipeline; tests put their own here.
+            **options: of `rclpy.node.Node`: its context, parameter overrides.
 
         Raises:
             ParameterError: a parameter given at start is not allowed.
         """
-        super().__init__("lime_planner")
+        super().__init__("lime_planner", **options)
         self.threads_ended = False
         self.params = NodeParameters(self)
         settings = self.params.snapshot
