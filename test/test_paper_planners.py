@@ -270,10 +270,3 @@ def test_malformed_calls_are_refused(arguments: dict[str, Any], words: str) -> N
 def test_wrong_options_are_refused(changes: dict[str, Any], words: str) -> None:
     with pytest.raises(ParameterError, match=words):
         PaperOptions(**changes)
-
-
-def test_speed_on_the_plane() -> None:
-    options = PaperOptions(algorithm="rrt_star")
-    solve(wall_g(), options, 0, 10)
-    best_s = min(solve(wall_g(), options, s, 5000).final.elapsed_s for s in range(5))
-    assert best_s < 0.2  # about 0.03 s on a free core
