@@ -1,11 +1,12 @@
 # lime_planner: `make demo` and `make test` set everything up themselves. `make help` says what else there is.
 SHELL := /bin/bash
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test lint clean
+.PHONY: help setup demo view test lint clean
 
 BIN := $(CURDIR)/.venv/bin
 SCENE ?=
 DEMO_ARGS ?=
+VIEW_ARGS ?=
 PYTEST_ARGS ?=
 
 # The ROS wheels leave their library path to child processes; that of another environment must not reach this one's.
@@ -20,6 +21,7 @@ endif
 help:
 	@echo "make demo                   a simulated Kinova arm reaches a lime inside a plant; ends with a table and a picture in out/"
 	@echo "make demo SCENE=file.npz    the same for a scene of yours (also PLY, PCD); more options: DEMO_ARGS='--help'"
+	@echo "make view                   the same nodes with a 3-D page to look at and to steer them from (SCENE=..., VIEW_ARGS='--port 8090')"
 	@echo "make test                   ruff, mypy and all tests (some of them: PYTEST_ARGS='-k name')"
 	@echo "make lint                   ruff and mypy alone"
 	@echo "make setup                  only what the others do first: system libraries, .venv, dependencies (PYTHON=... to choose one)"
@@ -30,6 +32,9 @@ setup:
 
 demo: setup
 	@$(BIN)/python -m lime_planner demo $(if $(SCENE),--scene '$(SCENE)') $(DEMO_ARGS)
+
+view: setup
+	@$(BIN)/python -m lime_planner view --nodes $(if $(SCENE),'$(SCENE)') $(VIEW_ARGS)
 
 lint: setup
 	$(BIN)/ruff check .

@@ -36,6 +36,11 @@ EXTRAS_REQUIRE = {
     "experiments": ["pingouin>=0.7", "pandas>=2.3,<4"],
     "cluster": ["distributed>=2024.1"],
     "bench": ["ompl>=2.0"],
+    # Recordings (rosbag2, as sqlite3 or MCAP) without ROS; the completion of `lime-planner` in bash and zsh.
+    "bags": ["rosbags>=0.11"],
+    "completion": ["shtab>=1.7"],
+    # The 3-D page of `lime-planner view`, and videos of `lime-planner animate`.
+    "viewer": ["viser>=1.1", "imageio[ffmpeg]>=2.31"],
     # launch_testing's pytest plugin breaks on pytest 9.
     "test": ["pytest>=7.4,<9", "hypothesis>=6.90", "ruff>=0.6", "mypy>=1.11", "scipy-stubs", "types-PyYAML"],
     # setuptools 80 broke `colcon build --symlink-install`.

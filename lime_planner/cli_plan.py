@@ -19,6 +19,9 @@ if TYPE_CHECKING:
     from lime_planner.robot.model import Robot
     from lime_planner.scene.scene import Scene
 
+#: The node's parameters that say how a file's labels are read.
+_OF_FILES = ("label_field", "leaf_labels", "stem_labels", "fruit_labels", "ignored_labels")
+
 _EPILOG = """\
 SCENE is an .npz with points (N, 3) [m] and labels (0 leaf, 1 stem, 2 fruit), or
 a PLY or PCD file with an integer field `label`, z up, in the frame of the arm's
@@ -71,8 +74,7 @@ def read_parameters(args: argparse.Namespace) -> dict[str, Any]:
             values[name] = getattr(args, name)
     if args.time is not None:
         values["time_budget_s"], values["iterations"] = args.time, 0
-    of_files = {"label_field", "leaf_labels", "stem_labels", "fruit_labels", "ignored_labels"}
-    idle = [name for name in values if name in NODE_PARAMETERS and name not in of_files]
+    idle = [name for name in values if name in NODE_PARAMETERS and name not in _OF_FILES]
     if idle:
         raise ParameterError(f"{', '.join(idle)}: only the node has a use for this parameter")
     return values
@@ -113,7 +115,7 @@ def run(args: argparse.Namespace) -> int:
     if args.picture is not None and args.picture.suffix.lower() not in (".png", ".svg", ".pdf"):
         raise ParameterError(f"--picture {args.picture}: ends in none of .png, .svg, .pdf")
     scene = read_scene(args, values)  # before the robot, which takes seconds
-    robot = _robot(settings)
+    robot = load_arm(settings)
     if not scene.frame_id:
         scene = dataclasses.replace(scene, frame_id=robot.planning_frame)
     return plan_in(scene, robot, settings, args)
@@ -146,7 +148,13 @@ def plan_in(scene: Scene, robot: Robot, settings: Settings, args: argparse.Names
     return _report(result, scene, robot, q_start, target, args)
 
 
-def _robot(settings: Settings) -> Robot:
+def load_arm(settings: Settings) -> Robot:
+    """Load the arm of the settings.
+
+    Raises:
+        RobotError: see `load_robot`.
+        ParameterError: `robot` is `topic`.
+    """
     from lime_planner.robot.model import load_robot
 
     if settings.robot == "topic":
@@ -185,13 +193,21 @@ def _refuse(args: argparse.Namespace, code: str, message: str) -> int:
     return 1
 
 
+def _provenance(args: argparse.Namespace, target: Any) -> dict[str, Any]:
+    """Return what it takes to show a plan again: the scene and how it was placed, the target, the parameters that were set."""
+    values = read_parameters(args)
+    placement = {"scale": args.scale, "offset": args.offset, **{name: values[name] for name in _OF_FILES if name in values}}
+    parameters = {name: value for name, value in values.items() if name in PARAMETERS}
+    return {"scene": str(args.scene), "placement": placement, "target_pose": [float(v) for v in target], "parameters": parameters}
+
+
 def _report(result: PlanResult, scene: Scene, robot: Robot, q_start: Any, target: Any, args: argparse.Namespace) -> int:
     from lime_planner.status import Status
     from lime_planner.viewer.tables import headline, print_plans, write_json
 
     figures = result.figures()
     if args.json is not None:
-        print(f"figures: {write_json(args.json, {**figures, 'scene': str(args.scene)})}")
+        print(f"figures: {write_json(args.json, {**figures, **_provenance(args, target)})}")
     if args.picture is not None:
         from lime_planner.viewer.picture import draw_picture
 

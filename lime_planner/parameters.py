@@ -130,6 +130,7 @@ _NODE_TABLE = (
     Parameter("replan_attempts", 0, "How often `~/plan` plans again from rest after a motion was stopped by a new stem or a deviation.", "", 0, 10),
     Parameter("deadline_s", 0.0, "Give a plan up as TIMED_OUT after this long, certificate included; coming to rest and compiling do not count; 0: off.", "s", 0.0, 600.0),
     Parameter("viewer_port", 0, "Port of the 3-D page; 0: off.", "", 0, 65535, read_only=True),
+    Parameter("viewer_host", "127.0.0.1", "Address that the 3-D page is served at; elsewhere it is for looking only, unless LIME_PLANNER_VIEWER_TOKEN is set.", read_only=True),
 )
 # fmt: on
 

@@ -142,7 +142,7 @@ fi
 : >"$partial"
 
 # --- Dependencies and the package --------------------------------------------------------------------------------------------
-extras=experiments,cluster,bench,test,colcon
+extras=experiments,cluster,bench,bags,completion,viewer,test,colcon
 log=$venv/setup.log
 : >"$log"
 install() {

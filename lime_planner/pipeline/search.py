@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -62,6 +63,7 @@ def search(
     seed: int,
     budget_s: float | None,
     should_stop: Callable[[], bool],
+    watch: Callable[[Any], None] | None = None,
 ) -> Found:
     """Run the search that the settings name.
 
@@ -73,6 +75,7 @@ def search(
         seed: of this plan.
         budget_s: search time [s]; None where the iterations limit it.
         should_stop: cancels.
+        watch: is shown what the search grew: `planning.roadmap.Roadmap`, or the paper's `planning.tree.Tree`.
     """
     lower, upper = sampling_box(obstacles, q_start, goals.configurations)
     space = obstacles.space(lower, upper)
@@ -88,6 +91,7 @@ def search(
             iterations=iterations,
             should_stop=should_stop,
             deadline_s=budget_s,
+            watch=watch,
         )
         return Found(outcome.path, outcome.status, outcome.iterations, outcome.states_checked, outcome.first_path_s)
     paper = plan_paper(
@@ -100,5 +104,7 @@ def search(
         should_stop=should_stop,
         deadline_s=budget_s,
     )
+    if watch is not None:
+        watch(paper.tree)
     checks = int(paper.counters[0] + paper.counters[2])
     return Found(paper.path, paper.status, paper.final.iterations, checks)

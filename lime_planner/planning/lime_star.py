@@ -156,6 +156,7 @@ def plan_lime(
     iterations: int | None = None,
     should_stop: Callable[[], bool] | None = None,
     deadline_s: float | None = None,
+    watch: Callable[[Any], None] | None = None,
 ) -> LimeOutcome:
     """Plan from a start to the cheapest of several goals.
 
@@ -169,6 +170,7 @@ def plan_lime(
         iterations: budget of sampled configurations, None for none.
         should_stop: True ends the search; asked every few milliseconds.
         deadline_s: search time [s], None for none.
+        watch: is shown the roadmap (`roadmap.Roadmap`) when the search has ended.
 
     Raises:
         ProblemError: malformed start or goals, or no end of the search given.
@@ -191,6 +193,8 @@ def plan_lime(
         return _outcome(run, Status.GOAL_IN_STEM, before)
     run.goals = q_goals[leaf >= 0.0]
     status = _search(run, leaf[leaf >= 0.0], iterations, should_stop, deadline_s)
+    if watch is not None:
+        watch(run.road)
     return _outcome(run, status, before)
 
 

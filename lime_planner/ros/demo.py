@@ -89,16 +89,16 @@ def run(args: argparse.Namespace) -> int:
     from lime_planner.scene.files import save_scene
 
     clock.say("reading the scene" if args.scene else "growing a lime plant")
-    scene = _scene(args)
+    scene = scene_of(args)
     args.out.mkdir(parents=True, exist_ok=True)
     corner = Corner.own()
     arm = {"robot": settings.robot, "controller": args.controller}
-    with _quick_end(), Processes(corner, args.out / "logs") as nodes:
+    with quick_end(), Processes(corner, args.out / "logs") as nodes:
         clock.say(f"starting planner_node and mock_arm_node in ROS domain {corner.domain}, namespace {corner.namespace}")
         nodes.start("planner_node", "lime_planner.ros.planner_node", {**arm, **values})
         nodes.start("mock_arm_node", "lime_planner.ros.mock_arm_node", arm)
         loaded = build(settings, None)
-        scene = _complete(scene, loaded, planning, clock)
+        scene = completed_scene(scene, loaded, planning, clock)
         path = args.out / "scene.npz"
         save_scene(path, scene)
         clock.say("starting scene_node")
@@ -109,7 +109,7 @@ def run(args: argparse.Namespace) -> int:
     return verdict(loaded.robot, scene, driven)
 
 
-def _scene(args: argparse.Namespace) -> Scene:
+def scene_of(args: argparse.Namespace) -> Scene:
     """Load or grow the scene and put it where the options say; its frame is empty where a file names none."""
     import numpy as np
 
@@ -123,7 +123,7 @@ def _scene(args: argparse.Namespace) -> Scene:
     return scene if args.target is None else dataclasses.replace(scene, target_pose=np.asarray(args.target))
 
 
-def _complete(scene: Scene, loaded: Loaded, planning: Mapping[str, Any], clock: Clock) -> Scene:
+def completed_scene(scene: Scene, loaded: Loaded, planning: Mapping[str, Any], clock: Clock) -> Scene:
     """Give the scene what it lacks: the arm's frame, and a target among its leaves.
 
     Raises:
@@ -161,7 +161,7 @@ def _with_drawn_target(scene: Scene, loaded: Loaded, planning: Mapping[str, Any]
 
 
 @contextlib.contextmanager
-def _quick_end() -> Any:
+def quick_end() -> Any:
     """Turn SIGTERM into an exception, so that the nodes are ended on the way out."""
 
     def end(*_: object) -> None:

@@ -49,6 +49,7 @@ class NodeSettings:
     replan_attempts: int
     deadline_s: float
     viewer_port: int
+    viewer_host: str
 
 
 @dataclass(frozen=True)

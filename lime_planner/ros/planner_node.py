@@ -44,6 +44,7 @@ from lime_planner.ros.services import Services
 from lime_planner.ros.status import Phase, health_message
 from lime_planner.ros.stops import make_stop
 from lime_planner.ros.throttle import Throttle
+from lime_planner.ros.view_backend import Viewer, serve_page
 from lime_planner.ros.watch import StemWatch, make_look
 from lime_planner.ros.worker import Answer, Ticket, Worker
 from lime_planner.status import Status
@@ -70,6 +71,7 @@ class PlannerNode(Node):
         """
         super().__init__("lime_planner", **options)
         self.threads_ended = False
+        self.viewer: Viewer | None = None
         self.params = NodeParameters(self)
         settings = self.params.snapshot
         self._warn = Throttle(self.get_logger().warning, _WARNING_PERIOD_S)
@@ -115,6 +117,7 @@ class PlannerNode(Node):
         self.create_timer(_WATCH_PERIOD_S, self._safely(self.execution.tick), clock=steady)
         self.create_timer(_OFFERS_PERIOD_S, self._safely(self._check_offers), clock=steady)
         self.create_timer(1.0, self._safely(self._publish_health), clock=steady)
+        self.viewer = serve_page(self)
         motion = "enabled" if settings.node.motion_enabled else "disabled"
         self.get_logger().info(f"serving; motion is {motion}, robot {settings.plan.robot}")
 
@@ -122,6 +125,8 @@ class PlannerNode(Node):
         """Stop a motion, answer everyone and end the threads."""
         if self.execution.stop(Status.CANCELLED, "the planner node shuts down"):
             self._command.wait_for_all_acked(Duration(seconds=0.2))
+        if self.viewer is not None:
+            self.viewer.page.close()
         ended = [self.worker.close(), self.watch.close(), self.engine.close(0.5)]
         self.desk.drain(0.5)
         self.threads_ended = all(ended)
@@ -150,6 +155,8 @@ class PlannerNode(Node):
         message = ended.status.message(ended.sentence)
         self.board.show(motion.plan_id, Phase.DONE, execution_code=ended.status.name, execution_message=message)
         self.get_logger().info(f"motion of plan {motion.plan_id}: {message}")
+        if self.viewer is not None:
+            self.viewer.backend.on_end(message)
         aborted = ended.status in (Status.EXECUTION_DEVIATED, Status.STEM_APPEARED)
         if aborted and motion.replans_left > 0 and not self.worker.busy:
 
@@ -185,6 +192,8 @@ class PlannerNode(Node):
             self.execution.on_state(state)
 
     def _show(self, shown: Shown) -> None:
+        if self.viewer is not None:
+            self.viewer.backend.on_shown(shown)
         stamp = self._now()
         self._tool_path.publish(to_path(shown.result.tool_path, shown.scene.frame_id, stamp))
         if self._markers.get_subscription_count() > 0:

@@ -121,15 +121,19 @@ class Services:
     def _stop(self, _request: Any, response: Any) -> Any:
         """Stop and cancel; the hold is sent from here, in the executor's thread, whatever the worker is doing."""
         try:
-            snapshot: Snapshot = self._requests.snapshot()
-            moving = self._execution.stop(Status.CANCELLED, "stopped by ~/stop") or self._execution.hold_foreign_motion(snapshot)
-            cancelled = self._worker.cancel("stopped by ~/stop")
-            # A request that had committed before it could be cancelled has sent its motion by now, or holds the lock to do so.
-            moving = self._execution.stop(Status.CANCELLED, "stopped by ~/stop") or moving
-            motion = "the motion is being stopped" if moving else "no motion was running"
-            response.success, response.message = True, Status.SUCCEEDED.message(f"{motion}; {cancelled} request(s) cancelled")
-            self._log(False, f"stop: {response.message}")
+            response.success, response.message = True, Status.SUCCEEDED.message(self.stop_everything())
         except Exception as error:
             self._log(True, traceback.format_exc())
             response.success, response.message = False, Status.INTERNAL_ERROR.message(f"{type(error).__name__}: {error}")
         return response
+
+    def stop_everything(self) -> str:
+        """Stop a motion and cancel every request; from any thread. What was stopped, in words."""
+        snapshot: Snapshot = self._requests.snapshot()
+        moving = self._execution.stop(Status.CANCELLED, "stopped by ~/stop") or self._execution.hold_foreign_motion(snapshot)
+        cancelled = self._worker.cancel("stopped by ~/stop")
+        # A request that had committed before it could be cancelled has sent its motion by now, or holds the lock to do so.
+        moving = self._execution.stop(Status.CANCELLED, "stopped by ~/stop") or moving
+        sentence = f"{'the motion is being stopped' if moving else 'no motion was running'}; {cancelled} request(s) cancelled"
+        self._log(False, f"stop: {Status.SUCCEEDED.message(sentence)}")
+        return sentence

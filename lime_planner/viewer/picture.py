@@ -73,11 +73,11 @@ def draw_picture(
     if path.suffix.lower() not in SUFFIXES:
         raise ParameterError(f"{path}: a picture ends in one of {', '.join(SUFFIXES)}, not in {path.suffix or 'nothing'!r}")
     configurations = [np.asarray(q, dtype=np.float64) for q in (q_start, q_goal) if q is not None]
-    arms = [_arm_mesh(robot, q) for q in configurations]
+    arms = [arm_mesh(robot, q) for q in configurations]
     line = np.zeros((0, 3)) if tool_path is None else np.asarray(tool_path, dtype=np.float64)[:, :3]
     contact = np.zeros(len(line)) if tool_leaf is None else np.asarray(tool_leaf, dtype=np.float64)
     target = None if target_pose is None else np.asarray(target_pose, dtype=np.float64)
-    shown = _in_sight(scene, robot)
+    shown = in_sight(scene, robot)
     low, high = _bounds([*(vertices for vertices, _ in arms), *shown.values(), line])
 
     from matplotlib.figure import Figure
@@ -123,7 +123,7 @@ def _write(figure: Any, path: Path) -> Path:
     return path
 
 
-def _arm_mesh(robot: Robot, q: Float64) -> tuple[Float64, npt.NDArray[np.int64]]:
+def arm_mesh(robot: Robot, q: Float64) -> tuple[Float64, npt.NDArray[np.int64]]:
     """Return the whole arm at q as one mesh in the planning frame: vertices (V, 3), triangles (T, 3)."""
     poses = robot.link_poses(q)
     vertices, triangles, count = [], [], 0
@@ -135,7 +135,7 @@ def _arm_mesh(robot: Robot, q: Float64) -> tuple[Float64, npt.NDArray[np.int64]]
     return np.concatenate(vertices), np.concatenate(triangles)
 
 
-def _in_sight(scene: Scene, robot: Robot) -> dict[str, npt.NDArray[np.float32]]:
+def in_sight(scene: Scene, robot: Robot) -> dict[str, npt.NDArray[np.float32]]:
     """Return the points of each class that lie near the arm's reach; a wall of the greenhouse would make the plant a dot."""
     limit = robot.reach_m + 0.3
     clouds = {"leaf": scene.leaf_points, "stem": scene.stem_points, "fruit": scene.fruit_points}
@@ -165,7 +165,7 @@ def _render(view: View, shown: dict[str, npt.NDArray[np.float32]], scene: Scene,
     """Draw plant and arms at twice the picture's resolution and halve it."""
     fine = View(view.right, view.up, view.extent, 0.5 * view.pixel_m)
     plant = [
-        _leaf_layer(fine, shown["leaf"], scene),
+        leaf_layer(fine, shown["leaf"], scene),
         cloud_layer(fine, shown["stem"], STEM, (0.0018, 0.0045)),
         cloud_layer(fine, shown["fruit"], LIME, (0.0012, 0.0045)),
     ]
@@ -174,7 +174,7 @@ def _render(view: View, shown: dict[str, npt.NDArray[np.float32]], scene: Scene,
     return halved(compose(plant, list(zip(meshes, opacities, strict=True)), _LEAF_OVER_ARM))
 
 
-def _leaf_layer(view: View, points: npt.NDArray[np.float32], scene: Scene) -> Layer:
+def leaf_layer(view: View, points: npt.NDArray[np.float32], scene: Scene) -> Layer:
     """Draw the leaves' own triangles where they are known (each leaf a little lighter or darker), else their points."""
     if scene.leaf_triangles is None or not len(scene.leaf_triangles):
         return cloud_layer(view, points, LEAF, (0.0012, 0.0045))

@@ -1,0 +1,146 @@
+"""What the page asks of whoever plans and moves: a scene file's desk (`lime_planner.viewer.desk`) or a running planner node.
+
+The page looks at one immutable `Moment` some twenty times a second and compares what it holds by identity; it never waits for
+anybody, and nobody ever waits for it.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import enum
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from lime_planner.parameters import Settings, validate
+from lime_planner.pipeline import Pipeline, PlanResult
+from lime_planner.robot.model import Robot
+from lime_planner.scene.scene import Scene
+
+Array = npt.NDArray[np.float64]
+
+
+class Activity(enum.Enum):
+    """What goes on, in words."""
+
+    LOADING = "Getting ready"
+    IDLE = "Ready"
+    PLANNING = "Planning"
+    MOVING = "The arm moves"
+    STOPPING = "The arm stops"
+
+
+@dataclass(frozen=True, eq=False)
+class Shown:
+    """A finished plan with what it was made of.
+
+    Attributes:
+        number: tells plans apart; what Execute is confirmed for.
+        scene, settings: as used.
+        target: (7,) pose of the tool at the fruit, T_base_tool; None for a motion without one (a retreat).
+        result: of any status.
+    """
+
+    number: int
+    scene: Scene
+    settings: Settings
+    target: Array | None
+    result: PlanResult
+
+    @property
+    def found(self) -> bool:
+        """Whether there is a path to be shown."""
+        return len(self.result.waypoints) > 1
+
+
+@dataclass(frozen=True, eq=False)
+class Moment:
+    """Everything there is to see now.
+
+    Attributes:
+        activity: what goes on.
+        message: the newest outcome, `CODE: sentence`, or what is being waited for.
+        robot, pipeline: None until they are loaded.
+        scene: None as long as there is none.
+        target: (7,) pose of the target, None as long as there is none.
+        q: (n,) measured configuration [rad], None where unknown.
+        shown: the newest plan, None before the first.
+        moving_s: how long the motion of `shown` has run [s]; None when none runs.
+        settings: parameters of the next plan, without the page's own wishes.
+        blocked_plan, blocked_motion: why the arm cannot be planned for or moved now; empty where it can.
+        advice: what to do, where there is nothing to see yet.
+    """
+
+    activity: Activity
+    message: str
+    settings: Settings
+    robot: Robot | None = None
+    pipeline: Pipeline | None = None
+    scene: Scene | None = None
+    target: Array | None = None
+    q: Array | None = None
+    shown: Shown | None = None
+    moving_s: float | None = None
+    blocked_plan: str = ""
+    blocked_motion: str = ""
+    advice: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Wishes:
+    """What the page's controls ask of the next plan.
+
+    Attributes:
+        parameters: names and values of changed parameters.
+        target: (7,) pose that the target was dragged to; None for the one that is there.
+    """
+
+    parameters: dict[str, Any] = field(default_factory=dict)
+    target: Array | None = None
+
+
+def with_wishes(settings: Settings, wishes: Wishes) -> Settings:
+    """Return the settings with the wishes in them.
+
+    Raises:
+        ParameterError: a value that is not allowed.
+    """
+    return dataclasses.replace(settings, **{name: validate(name, value) for name, value in wishes.parameters.items()})
+
+
+class Backend(Protocol):
+    """Plans and moves for the page. Every method returns at once and may be called from any thread."""
+
+    #: Where plans come from and motions go to, for the page's heading.
+    title: str
+    #: Whether an executed motion leaves this program: for an arm, or for a simulation that plays one.
+    real: bool
+    #: Whether a browser is open; set by the page.
+    watched: bool
+
+    @property
+    def opens(self) -> bool:
+        """Whether `open` takes another scene."""
+        ...
+
+    def moment(self) -> Moment:
+        """Return what there is to see now."""
+        ...
+
+    def plan(self, wishes: Wishes) -> None:
+        """Make a plan and show it; nothing moves."""
+        ...
+
+    def execute(self, number: int) -> None:
+        """Carry the plan of that number out, if it still is the newest one."""
+        ...
+
+    def stop(self) -> None:
+        """Stop planning, and the arm."""
+        ...
+
+    def open(self, scene: Scene, title: str) -> None:
+        """Take another scene."""
+        ...

@@ -1,0 +1,174 @@
+"""Viser's server, bound to loopback unless told otherwise, with the rules of `lime_planner.viewer.access` in front of it.
+
+Viser itself looks at neither `Host` nor `Origin`, and takes every message from everybody. Its one way in is the `serve` of the
+library websockets, which it looks up when it starts: while it does, we hand it ours. Ours asks `Access` before the handshake, and
+passes messages on only from browsers that may operate the page; the others can look and move their own camera. A version of
+viser that opens its port in another way is not served at all.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import http
+import socket
+import threading
+from collections.abc import Awaitable, Callable, Iterator
+from typing import Any
+
+from lime_planner.errors import ParameterError
+from lime_planner.viewer.access import Access
+
+_starting = threading.Lock()
+#: Messages that show something to their sender alone. Everything else changes what all browsers see, or moves an arm.
+_LOOKING = ("ViewerCameraMessage",)
+#: Messages that nobody may send: they would open a tunnel to a server on the internet.
+_NEVER = ("ShareUrlRequest", "ShareUrlDisconnect")
+_PORTS_TRIED = 20
+_HEADERS = {
+    "X-Frame-Options": "DENY",  # no other page may lay ours under the user's clicks
+    "Content-Security-Policy": "frame-ancestors 'none'",
+    "Referrer-Policy": "no-referrer",  # the address may hold the token
+    "Cache-Control": "no-store",
+}
+
+
+class _Stand:
+    """Stands in for a module: some names replaced, all others the module's own."""
+
+    def __init__(self, module: Any, **replaced: Any) -> None:
+        self._module = module
+        self.__dict__.update(replaced)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._module, name)
+
+
+def free_port(host: str, port: int, *, tries: int = _PORTS_TRIED) -> int:
+    """Return the first port from `port` on that can be bound at `host`; 0 lets the system choose.
+
+    Raises:
+        ParameterError: none of `tries` ports is free, or the host is not an address of this machine.
+    """
+    reason = ""
+    for candidate in range(port, min(port + max(tries, 1), 65536)):
+        try:
+            family, kind, protocol, _, address = socket.getaddrinfo(host, candidate, type=socket.SOCK_STREAM)[0]
+            with socket.socket(family, kind, protocol) as probe:
+                probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+                probe.bind(address)
+                return int(probe.getsockname()[1])
+        except OSError as error:
+            reason = error.strerror or str(error)
+    last = f" to {port + tries - 1}" if tries > 1 else ""
+    raise ParameterError(f"the page cannot be served at {host}, port {port}{last}: {reason}; choose another with --port")
+
+
+def start_server(access: Access, port: int, *, label: str) -> Any:
+    """Start viser's server (a `viser.ViserServer`) behind the rules.
+
+    Args:
+        access: who may do what; its host is what the server binds to.
+        port: where to listen.
+        label: heads the page's controls.
+
+    Raises:
+        ParameterError: the port is taken, or the installed viser cannot be guarded.
+    """
+    import viser
+    import websockets
+    from viser.infra import _infra as viser_infra
+
+    infra: Any = viser_infra
+    guards: list[Any] = []
+
+    def serve(handler: Callable[[Any], Awaitable[None]], *args: Any, process_request: Any = None, **options: Any) -> Any:
+        guards.append(handler)
+        return websockets.asyncio.server.serve(
+            _filtered(handler, access), *args, process_request=_guarded(process_request, access), **options
+        )
+
+    port = free_port(access.host, port, tries=1)
+    with _starting:
+        real = infra.websockets
+        inner = _Stand(real.asyncio.server, serve=serve)
+        infra.websockets = _Stand(real, asyncio=_Stand(real.asyncio, server=inner))
+        try:
+            with _quiet():
+                server = viser.ViserServer(host=access.host, port=port, label=label, verbose=False)
+        finally:
+            infra.websockets = real
+    if not guards:
+        stop_server(server)
+        raise ParameterError(f"viser {viser.__version__} cannot be guarded against other pages; install viser 1.1")
+    return server
+
+
+def stop_server(server: Any) -> None:
+    """Close the port and every browser's connection."""
+    with _quiet():
+        server.stop()
+
+
+@contextlib.contextmanager
+def _quiet() -> Iterator[None]:
+    """Keep viser from printing its own banner and farewell."""
+    import rich
+
+    console = rich.get_console()
+    before, console.quiet = console.quiet, True
+    try:
+        yield
+    finally:
+        console.quiet = before
+
+
+def _guarded(serve_file: Any, access: Access) -> Callable[[Any, Any], Any]:
+    """Ask `access` before a file is served or a socket opened."""
+    from websockets import Headers
+    from websockets.http11 import Response
+
+    def process_request(connection: Any, request: Any) -> Any:
+        websocket = "websocket" in request.headers.get("Upgrade", "").lower()
+        reason = access.refusal(request.headers, websocket=websocket)
+        if reason is not None:
+            body = f"{reason}\n".encode()
+            headers = Headers(**{"Content-Type": "text/plain; charset=utf-8", "Content-Length": str(len(body))})
+            return Response(http.HTTPStatus.FORBIDDEN, "Forbidden", headers, body)
+        if websocket:
+            return None
+        response = serve_file(connection, request)
+        if response is not None:
+            response.headers.update(_HEADERS)
+            cookie = access.cookie(request.path)
+            if cookie is not None:
+                response.headers["Set-Cookie"] = cookie
+        return response
+
+    return process_request
+
+
+def _filtered(handler: Callable[[Any], Awaitable[None]], access: Access) -> Callable[[Any], Awaitable[None]]:
+    """Keep from viser what a browser may not send."""
+    import msgspec
+
+    def kind(raw: Any) -> str:
+        try:
+            return str(msgspec.msgpack.decode(raw)["type"])
+        except (msgspec.MsgspecError, KeyError, TypeError):
+            return ""
+
+    async def handle(connection: Any) -> None:
+        operates = access.operates(connection.request.headers)
+        receive = connection.recv
+
+        async def recv(*args: Any, **options: Any) -> Any:
+            while True:
+                raw = await receive(*args, **options)
+                name = kind(raw)
+                if name in _LOOKING or (operates and name and name not in _NEVER):
+                    return raw
+
+        connection.recv = recv
+        await handler(connection)
+
+    return handle
