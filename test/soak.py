@@ -23,7 +23,8 @@ from typing import Any
 
 import numpy as np
 from ros_harness import ROOT, Program, program
-from soak_steps import CALM, SoakBench, Steps
+from soak_cases import CALM
+from soak_steps import SoakBench, Steps
 
 from lime_planner.robot.model import Robot, home, load_robot
 
@@ -110,6 +111,7 @@ class Soak(Steps):
             "stops_judged": self.judge.stops,
             "stems_on_the_way": self.blocked,
             "answers": dict(sorted(self.codes.items())),
+            "examples": self.examples,
             **waits,
             "memory_mb": {"settled": round(first, 1), "end": round(last, 1), "most": round(max(row[1] for row in self.memory), 1)},
             "threads": threads,
@@ -128,8 +130,9 @@ def soak(
     arguments = ["--ros-args", "-p", f"robot:={robot}", "-p", f"controller:={controller}"]
     listed = "[" + ", ".join(f"{value:.6f}" for value in start) + "]"
     settings = ["--params-file", str(ROOT / "config" / f"{robot}.yaml")] if controller == "kinova" else []
-    more = ["-p", "motion_enabled:=true", "-p", "velocity_scaling:=1.0", "-p", "acceleration_scaling:=1.0"]
-    more += ["-p", "max_cloud_age_s:=0.0", "-p", "max_target_age_s:=0.0"]
+    own = {"motion_enabled": "true", "velocity_scaling": 1.0, "acceleration_scaling": 1.0, "max_cloud_age_s": 0.0, "max_target_age_s": 0.0}
+    # With the node's name: a plain -p gives way to a file that names the node.
+    more = [word for name, value in own.items() for word in ("-p", f"lime_planner:{name}:={value}")]
     with ExitStack() as stack:
         stack.enter_context(program(["-m", "lime_planner.ros.mock_arm_node", *arguments, "-p", f"start:={listed}"], domain))
         scene = ["-m", "lime_planner.ros.scene_node", "--ros-args", "-p", f"labelled:={str(labelled).lower()}"]

@@ -190,9 +190,12 @@ class Judge:
         elapsed_s = time.monotonic() - since_s + after_s
         return "" if elapsed_s >= trajectory.duration_s else self.contact(trajectory, target, elapsed_s)
 
-    def at_rest(self) -> None:
-        """Say that the planner reported the end of the motion."""
-        self._running = None
+    def later(self, after_s: float) -> tuple[np.ndarray | None, np.ndarray | None]:
+        """Where the running motion will have the arm, (n,), and its target, (3,); None where nothing runs."""
+        if self._running is None:
+            return None, None
+        since_s, trajectory, target = self._running
+        return trajectory.sample(time.monotonic() - since_s + after_s), target
 
 
 def target_of(trajectory: Trajectory, statuses: list[dict[str, str]]) -> tuple[bool, np.ndarray | None]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import time
 from collections import Counter
@@ -14,56 +15,18 @@ from rclpy.parameter import Parameter
 from ros_fakes import cloud
 from ros_harness import Bench, code_of
 from sensor_msgs.msg import JointState
-from soak_checks import Judge
+from soak_cases import ANSWER_S, BAD_SETTINGS, CALM, FAULTS, SCENE, SETTINGS, STEM_STOP_S
+from soak_checks import EXCLUSION_M, Judge
 
 from lime_planner.poses import matrix_to_pose
 from lime_planner.robot.model import Robot
+from lime_planner.ros.clouds import encode_cloud
 from lime_planner.ros.convert import to_pose
 from lime_planner.ros.scene_node import make_scene
 from lime_planner.scene.targets import lime_targets
 from lime_planner.status import Status
 
-ANSWER_S = 20.0  # later than this an answer is lost
-STEM_STOP_S = 1.5  # a stem on the rest of the path must have stopped the arm by then
-_SCENE = {"file": "", "label_field": "label", "scale": 1.0, "offset": [0.0, 0.0, 0.0], "target": [], "rate_hz": 0.0}
 _CODES = {status.name for status in Status}
-CALM = {"noise_rad": 0.0, "lag_s": 0.0, "gain_error": 0.0, "drop_probability": 0.0, "state_delay_s": 0.0, "stall_at_fraction": 0.0}
-_FAULTS = (
-    {"noise_rad": 0.0005},
-    {"lag_s": 0.1},
-    {"gain_error": 0.05},
-    {"gain_error": -0.3},
-    {"drop_probability": 0.5},
-    {"drop_probability": 1.0},
-    {"state_delay_s": 0.1},
-    {"state_delay_s": 1.0},
-    {"stall_at_fraction": 0.5},
-    {"shuffle": True},
-    {"extra_joints": ["gripper", "camera"]},
-)
-_SETTINGS = (
-    {"time_budget_s": 0.1},
-    {"time_budget_s": 0.5},
-    {"velocity_scaling": 0.6},
-    {"velocity_scaling": 1.0},
-    {"leaf_speed_scale": 0.5},
-    {"leaf_speed_scale": 1.0},
-    {"leaf_cost": "graded"},
-    {"leaf_cost": "binary"},
-    {"deadline_s": 1.0},
-    {"deadline_s": 0.0},
-    {"replan_attempts": 2},
-    {"replan_attempts": 0},
-    {"trajectory_dt_s": 0.01},
-    {"trajectory_dt_s": 0.02},
-)
-_BAD_SETTINGS = (
-    {"time_budget_s": -1.0},
-    {"planner": "magic"},
-    {"velocity_scaling": math.nan},
-    {"workspace_box": [1.0]},
-    {"robot": "other"},
-)
 
 
 class SoakBench(Bench):
@@ -100,6 +63,7 @@ class Steps:
         self.judge = bench.judge = Judge(robot)
         self.violations: list[str] = []
         self.codes: Counter[str] = Counter()
+        self.examples: dict[str, str] = {}
         self.waits: dict[str, list[float]] = {"answer": [], "preempted": [], "stop": []}
         self.requests = self.judged = self.blocked = 0
         self.actions: Counter[str] = Counter()
@@ -128,6 +92,7 @@ class Steps:
             return "SUCCEEDED" if response.plan.poses else "refused"
         code = code_of(response.message)
         self.codes[f"{future.kind} {code}"] += 1
+        self.examples[code] = response.message[:300]
         if code not in _CODES or len(response.message) < len(code) + 5 or response.success != (code == "SUCCEEDED"):
             self.violations.append(f"{future.kind} answered {response.success} {response.message!r}")
         if code == "INTERNAL_ERROR":
@@ -141,13 +106,28 @@ class Steps:
     def new_scene(self) -> None:
         """Publish another plant (or the same one again) through the scene node."""
         values = {"seed": int(self.rng.integers(1, 40)), "density": str(self.rng.choice(["sparse", "medium"]))}
-        published = make_scene({**_SCENE, **values})
+        published = make_scene({**SCENE, **values})
         self.targets = [pose for pose in [published.target, *lime_targets(published.scene, self.rng)] if pose is not None]
         left_out = None if self.labelled or published.target is None else published.target[:3]
         reasons = self.bench.set_on("scene", values)
         self.judge.publish(published.scene, left_out)
         if reasons:
             self.violations.append(f"the scene node refused {values}: {reasons}")
+        time.sleep(0.3)
+
+    def new_twig(self) -> None:
+        """Publish the stems and one more, where the tool will be in some seconds."""
+        q, target = self.judge.later(float(self.rng.uniform(2.0, 5.0)))
+        if q is None or self.judge.world is None:
+            return
+        twig = self.robot.forward(q)[:3, 3] + np.linspace(-0.06, 0.06, 100)[:, None] * np.array([[0.0, 0.0, 1.0]])
+        scene = self.judge.world.scene
+        stems = np.concatenate([scene.stem_points, twig.astype(np.float32)])
+        scene = dataclasses.replace(scene, stem_points=stems)
+        self.judge.publish(scene, target)
+        leaf, stem = encode_cloud(scene.leaf_points), encode_cloud(scene.impermeable_points(target, EXCLUSION_M))
+        leaf.header.frame_id = stem.header.frame_id = scene.frame_id
+        self.bench.send_clouds(leaf, stem)
         time.sleep(0.3)
 
     def new_target(self) -> None:
@@ -267,14 +247,17 @@ class Steps:
         self.new_scene()
 
     def surprise(self) -> None:
-        """Another plant while the arm moves: it must stop if a stem stands in its way."""
+        """Another plant, or one more twig, while the arm moves: it must stop if a stem stands in its way."""
         self.new_target()
         if self.answer(self.ask("plan")) != "SUCCEEDED":
             return
         self.pause(0.5)
         self.check()
         before = len(self.bench.commands)
-        self.new_scene()
+        if self.rng.random() < 0.3:
+            self.new_scene()
+        else:
+            self.new_twig()
         words = self.judge.blocked(STEM_STOP_S) if self.moving() else ""
         if words:
             self.blocked += 1
@@ -286,7 +269,7 @@ class Steps:
 
     def fault(self) -> None:
         """The arm misbehaves for one motion."""
-        values = dict(_FAULTS[int(self.rng.integers(len(_FAULTS)))])
+        values = dict(FAULTS[int(self.rng.integers(len(FAULTS)))])
         self.bench.set_on("mock_arm", values)
         self.new_target()
         if self.answer(self.ask("plan")) == "SUCCEEDED":
@@ -304,11 +287,11 @@ class Steps:
     def parameters(self) -> None:
         """A setting, good or bad."""
         if self.rng.random() < 0.7:
-            values = _SETTINGS[int(self.rng.integers(len(_SETTINGS)))]
+            values = SETTINGS[int(self.rng.integers(len(SETTINGS)))]
             if any(self.bench.set(**values)):
                 self.violations.append(f"{values} was refused")
         else:
-            values = _BAD_SETTINGS[int(self.rng.integers(len(_BAD_SETTINGS)))]
+            values = BAD_SETTINGS[int(self.rng.integers(len(BAD_SETTINGS)))]
             if not all(self.bench.set(**values)):
                 self.violations.append(f"{values} was accepted")
 
