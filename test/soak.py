@@ -57,6 +57,7 @@ class Soak(Steps):
         weights = np.array(list(steps.values()), dtype=float)
         began = told = time.monotonic()
         self.new_scene()
+        self.reach_nearby()
         while self.requests < requests and time.monotonic() - began < seconds:
             name = str(self.rng.choice(names, p=weights / weights.sum()))
             self.actions[name] += 1
@@ -109,6 +110,7 @@ class Soak(Steps):
             "steps": dict(self.actions),
             "motions_judged": self.judge.motions,
             "stops_judged": self.judge.stops,
+            "arrivals": self.arrived,
             "stems_on_the_way": self.blocked,
             "answers": dict(sorted(self.codes.items())),
             "examples": self.examples,

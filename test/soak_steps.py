@@ -15,7 +15,7 @@ from rclpy.parameter import Parameter
 from ros_fakes import cloud
 from ros_harness import Bench, code_of
 from sensor_msgs.msg import JointState
-from soak_cases import ANSWER_S, BAD_SETTINGS, CALM, FAULTS, SCENE, SETTINGS, STEM_STOP_S
+from soak_cases import ANSWER_S, ARRIVED_RAD, BAD_SETTINGS, CALM, FAULTS, SCENE, SETTINGS, STEM_STOP_S
 from soak_checks import EXCLUSION_M, Judge
 
 from lime_planner.poses import matrix_to_pose
@@ -65,7 +65,7 @@ class Steps:
         self.codes: Counter[str] = Counter()
         self.examples: dict[str, str] = {}
         self.waits: dict[str, list[float]] = {"answer": [], "preempted": [], "stop": []}
-        self.requests = self.judged = self.blocked = 0
+        self.requests = self.judged = self.blocked = self.arrived = 0
         self.actions: Counter[str] = Counter()
         bench.wait(lambda: self.judge.newest() is not None, 10.0, "joint states")
 
@@ -154,6 +154,19 @@ class Steps:
         self.new_target()
         if self.answer(self.ask("plan")) == "SUCCEEDED":
             self.wait_end()
+            self.check_arrival()
+
+    def reach_nearby(self) -> None:
+        """Reach a pose close to where the tool is, for certain: the first step of every run."""
+        for _ in range(10):
+            q = self.bench.q + self.rng.uniform(-0.25, 0.25, self.robot.n)
+            self.bench.send_target(matrix_to_pose(self.robot.forward(q)))
+            time.sleep(0.1)
+            if self.answer(self.ask("plan")) == "SUCCEEDED":
+                self.wait_end()
+                self.check_arrival()
+                return
+        self.violations.append(f"no pose nearby could be reached: {self.examples}")
 
     def preempt(self) -> None:
         """A newer request while one plans or moves."""
@@ -309,6 +322,14 @@ class Steps:
         """Whether a motion of the planner runs, by its status."""
         statuses = list(self.bench.statuses)
         return bool(statuses) and statuses[-1]["phase"] == "EXECUTING"
+
+    def check_arrival(self) -> None:
+        """A motion that ended well has the arm at its last point, every turn counted."""
+        off = np.abs(self.bench.q - np.array(self.bench.commands[-1][1].points[-1].positions)).max()
+        if self.bench.statuses[-1].get("execution_code") == "SUCCEEDED":
+            self.arrived += 1
+            if off > ARRIVED_RAD:
+                self.violations.append(f"a motion ended {off:.3f} rad from its last point")
 
     def wait_end(self, stop: bool = False) -> None:
         """Wait until nothing moves."""
