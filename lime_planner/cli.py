@@ -33,25 +33,43 @@ class Command:
 
 
 COMMANDS = (
-    Command(("plan",), "lime_planner.cli_plan", "plan the arm's reach to a target in a scene file"),
+    Command(("plan",), "lime_planner.cli_plan", "plan the arm's reach to a target in a scene file or a recording"),
+    Command(("view",), "lime_planner.cli_view", "the 3-D page: plan, look, and move a simulated or a real arm"),
+    Command(("animate",), "lime_planner.cli_animate", "turn a saved plan into a moving picture"),
     Command(("demo",), "lime_planner.ros.demo", "scene, arm and planner as ROS nodes; a simulated arm carries the plan out"),
     Command(("scene", "plant"), "lime_planner.cli_scene_plant", "grow a lime plant from a seed"),
     Command(("scene", "tomatowur"), "lime_planner.cli_scene_tomatowur", "obtain public scans of real tomato plants"),
     Command(("scene", "info"), "lime_planner.cli_scene_info", "say what a scene file holds"),
+    Command(("record",), "lime_planner.cli_record", "a scene and a start, from live topics or a recording, into a file"),
     Command(("doctor",), "lime_planner.cli_doctor", "check the installation, ROS 2, the arm and the clouds"),
     Command(("parameters",), "lime_planner.cli_parameters", "list every parameter that --set and the node understand"),
+    Command(("completion",), "lime_planner.cli_completion", "print the script that completes commands in your shell"),
     Command(("experiment", "wall"), "lime_planner.experiments.wall", "the paper's experiment on the plane", "--trials 20 --out wall"),
     Command(("experiment", "lime"), "lime_planner.experiments.lime", "the paper's experiment with the arm", "--trials 20 --out lime"),
     Command(("experiment", "damage"), "lime_planner.experiments.damage", "leaves that the arm really touches", "--plants 2 --out damage"),
+    Command(("experiment", "report"), "lime_planner.experiments.report", "write the results page from what runs found", "lime damage"),
     Command(("bench", "kernels"), "lime_planner.experiments.bench_kernels", "time of the compiled kernels"),
     Command(("bench", "planners"), "lime_planner.experiments.bench_planners", "the default planner against the paper's", "--out planners"),
     Command(("bench", "peers"), "lime_planner.experiments.bench_peers", "the default planner against OMPL and others", "--out peers"),
+    Command(
+        ("bench", "scale"), "lime_planner.experiments.bench_scale", "how cost grows with points, leaves, joints, budget", "--out scale"
+    ),
 )
 
 GROUPS = {"scene": "make, obtain and inspect scenes", "experiment": "the paper's tables and figures", "bench": "measurements"}
 
 #: The extra of the package that brings a library.
-_EXTRAS = {"rclpy": "ros", "pingouin": "experiments", "pandas": "experiments", "distributed": "cluster", "ompl": "bench"}
+_EXTRAS = {
+    "rclpy": "ros",
+    "pingouin": "experiments",
+    "pandas": "experiments",
+    "distributed": "cluster",
+    "ompl": "bench",
+    "rosbags": "bags",
+    "shtab": "completion",
+    "viser": "viewer",
+    "imageio": "viewer",
+}
 
 _EXAMPLES = """\
 examples:
@@ -84,8 +102,13 @@ def _exists(command: Command) -> bool:
     return importlib.util.find_spec(command.module) is not None
 
 
-def build_parser(arguments: Sequence[str]) -> argparse.ArgumentParser:
-    """Build the parser; only the module of the command that `arguments` name is imported, so that help is quick."""
+def build_parser(arguments: Sequence[str], *, everything: bool = False) -> argparse.ArgumentParser:
+    """Build the parser; only the module of the command that `arguments` name is imported, so that help is quick.
+
+    Args:
+        arguments: the command line.
+        everything: import all commands.
+    """
     words = tuple(word for word in arguments if not word.startswith("-"))
     parser = _Parser(
         prog="lime-planner",
@@ -104,7 +127,7 @@ def build_parser(arguments: Sequence[str]) -> argparse.ArgumentParser:
                 groups[group] = own.add_subparsers(title="commands", metavar="COMMAND", required=True)
             place = groups[group]
         leaf = place.add_parser(command.words[-1], help=command.summary, description=command.summary.capitalize() + ".")
-        if words[: len(command.words)] == command.words:
+        if everything or words[: len(command.words)] == command.words:
             _fill(leaf, importlib.import_module(command.module), command)
     return parser
 
@@ -127,6 +150,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         if debug:
             traceback.print_exc()
         print(getattr(error, "status", Status.BAD_INPUT).message(str(error)), file=sys.stderr)
+        return int(getattr(error, "exit_status", 1))
     except ModuleNotFoundError as error:
         if debug:
             traceback.print_exc()

@@ -41,13 +41,14 @@ examples:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the command's arguments."""
     from lime_planner.cli_output import add_json
-    from lime_planner.cli_topics import add_topics
+    from lime_planner.cli_topics import add_parameters, add_topics
 
     parser.epilog = _EPILOG
     groups = ", ".join(GROUPS)
     parser.add_argument("--only", type=_groups, default=tuple(GROUPS), metavar="GROUP", help=f"only these, by commas: {groups}")
     parser.add_argument("--live", action="store_true", help="a robot runs: what is not heard is a fault")
     parser.add_argument("--wait", type=float, default=3.0, metavar="S", help="how long to listen to those who publish [s] (default 3)")
+    add_parameters(parser)
     add_topics(parser)
     add_json(parser, "the findings")
 
@@ -109,6 +110,7 @@ class _Doctor:
         return machine_findings()
 
     def robot(self) -> list[Finding]:
+        from lime_planner.cli_plan import load_arm
         from lime_planner.doctor.findings import fault, ok
 
         if self._file_trouble:
@@ -119,7 +121,7 @@ class _Doctor:
         if self._settings.robot == "topic":
             return [*findings, ok("robot", "comes from the topic robot_description")]
         try:
-            robot = self._load()
+            robot = load_arm(self._settings)
         except ImportError as error:
             return [*findings, fault("robot", f"cannot be loaded: {error}", "see the libraries above")]
         except LimePlannerError as error:
@@ -176,19 +178,9 @@ class _Doctor:
         ) as listener:
             return live_findings(listener, snapshot, arm, expected=self._args.live, wait_s=self._args.wait, use_sim_time=simulated)
 
-    def _load(self) -> Any:
-        from lime_planner.robot.model import load_robot
-
-        settings = self._settings
-        return load_robot(
-            settings.robot,
-            joint_names=settings.arm_joints or None,
-            planning_frame=settings.planning_frame or None,
-            tool_frame=settings.tool_frame or None,
-        )
-
     def _known_arm(self) -> Arm | None:
         """Return joints and frame of the arm; those of a built-in model without loading it."""
+        from lime_planner.cli_plan import load_arm
         from lime_planner.robot.builtin import BUILTIN_ARMS
         from lime_planner.ros.live_checks import Arm
         from lime_planner.scene.scene import DEFAULT_FRAME
@@ -198,7 +190,7 @@ class _Doctor:
             names = settings.arm_joints or BUILTIN_ARMS[settings.robot].joint_names
             return Arm(settings.robot, tuple(names), settings.planning_frame or DEFAULT_FRAME)
         try:
-            robot = self._load()
+            robot = load_arm(settings)
         except LimePlannerError:
             return None
         return Arm(robot.name, tuple(robot.joint_names), robot.planning_frame)

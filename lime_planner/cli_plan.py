@@ -11,12 +11,13 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from lime_planner.errors import ParameterError
+from lime_planner.errors import ParameterError, UsageError
 from lime_planner.parameters import NODE_PARAMETERS, PARAMETERS, PLANNERS, Settings, parse_assignment, settings_from
 
 if TYPE_CHECKING:
     from lime_planner.pipeline import PlanResult
     from lime_planner.robot.model import Robot
+    from lime_planner.scene.files import Start
     from lime_planner.scene.scene import Scene
 
 #: The node's parameters that say how a file's labels are read.
@@ -26,7 +27,9 @@ _EPILOG = """\
 SCENE is an .npz with points (N, 3) [m] and labels (0 leaf, 1 stem, 2 fruit), or
 a PLY or PCD file with an integer field `label`, z up, in the frame of the arm's
 base. Its target_pose is used unless --target gives another one; +z of the tool
-points out of the palm. Leaves cost, stems are never touched.
+points out of the palm. Leaves cost, stems are never touched. What
+`lime-planner record` wrote also says where the arm starts; a recording (--bag)
+is planned on as it is, with the topics that the options name.
 
 examples:
   lime-planner plan plant.npz
@@ -35,6 +38,8 @@ examples:
       --target 0.5 0.1 0.4 0 0.7071 0 0.7071
   lime-planner plan plant.npz --planner apf_rrt_star --iterations 1500 --seed 1
   lime-planner plan plant.npz --set leaf_policy=solid --set stem_margin_m=0.01
+  lime-planner plan --bag rosbag2_2026_05_04 --at 12.5 --leaf /seg/leaf \\
+      --stem /seg/stem --target /grasp
 
 The exit status is 0 only for SUCCEEDED; otherwise the code and one sentence go
 to standard error. --set understands what `lime-planner parameters` lists.
@@ -44,10 +49,15 @@ to standard error. --set understands what `lime-planner parameters` lists.
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the command's arguments."""
     parser.epilog = _EPILOG
-    parser.add_argument("scene", metavar="SCENE", type=Path, help="scene file: .npz, .ply or .pcd")
-    pose = ("X", "Y", "Z", "QX", "QY", "QZ", "QW")
-    parser.add_argument("--target", nargs=7, type=float, metavar=pose, help="pose of the tool at the fruit [m, -]; default: the scene's")
-    parser.add_argument("--start", nargs="+", type=float, metavar="Q", help="joint angles at the start [rad]; default: the arm's home")
+    from lime_planner.cli_bag import add_bag
+    from lime_planner.cli_output import add_json
+    from lime_planner.cli_topics import add_topics
+
+    parser.add_argument("scene", metavar="SCENE", type=Path, nargs="?", help="scene file: .npz, .ply or .pcd")
+    target = "pose of the tool at the fruit [m, -]: X Y Z QX QY QZ QW, or with --bag its topic; default: the scene's"
+    parser.add_argument("--target", nargs="+", type=_number_or_word, metavar="X", help=target)
+    start = "joint angles at the start [rad]; default: the recorded ones, else the arm's home"
+    parser.add_argument("--start", nargs="+", type=float, metavar="Q", help=start)
     parser.add_argument("--planner", choices=PLANNERS, metavar="NAME", help=f"which search: {', '.join(PLANNERS)}")
     budget = parser.add_mutually_exclusive_group()
     budget.add_argument("--iterations", type=int, metavar="N", help="iterations of the search instead of a time")
@@ -55,11 +65,50 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seed", type=int, metavar="N", help="seed; the same seed and --iterations give the same path")
     parser.add_argument("--scale", type=float, default=1.0, metavar="S", help="metres for each unit of the scene file (default 1)")
     parser.add_argument("--offset", nargs=3, type=float, metavar=("X", "Y", "Z"), help="then move the scene by this [m]")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write every figure, the path and the trajectory")
+    add_json(parser, "every figure, the path and the trajectory")
     parser.add_argument("--picture", type=Path, metavar="FILE", help="draw plant, arm and path; .png, .svg or .pdf")
     parser.add_argument(
         "--set", action="append", default=[], metavar="PARAMETER=VALUE", dest="assignments", help="set any parameter; repeatable"
     )
+    add_bag(parser)
+    add_topics(parser, live=False, without=("grasp_target",))
+
+
+def _number_or_word(text: str) -> float | str:
+    try:
+        return float(text)
+    except ValueError:
+        return text
+
+
+def _sort_arguments(args: argparse.Namespace) -> None:
+    """Tell the target's pose, its topic and the scene apart, and refuse what does not go together.
+
+    Raises:
+        UsageError: neither or both of scene and recording, or options that belong to the other one.
+    """
+    from lime_planner.cli_topics import topics_of
+
+    words = args.target or []
+    if len(words) == 8 and args.scene is None and isinstance(words[-1], str):  # `--target X Y Z QX QY QZ QW SCENE`
+        args.scene, args.target, words = Path(words[-1]), words[:-1], words[:-1]
+    args.topics = topics_of(args)
+    if args.bag is None:
+        if args.scene is None:
+            raise UsageError("give a SCENE, or a recording with --bag")
+        if args.topics or args.at is not None:
+            option = "--at" if args.at is not None else f"--{next(iter(args.topics)).split('_')[0]}"
+            raise UsageError(f"{option} names a {'moment' if args.at is not None else 'topic'} of a recording; name that with --bag")
+    elif args.scene is not None:
+        raise UsageError("give a SCENE or a --bag, not both")
+    elif args.scale != 1.0 or args.offset is not None:
+        raise UsageError("--scale and --offset place scene files; a recording is placed by its transforms")
+    if len(words) == 1 and isinstance(words[0], str):
+        if args.bag is None:
+            raise UsageError(f"--target {words[0]} is a topic; name the recording with --bag, or give 7 numbers")
+        args.topics["grasp_target"], args.target = words[0], None
+    elif words and (len(words) != 7 or any(isinstance(word, str) for word in words)):
+        raise UsageError(f"--target needs 7 numbers x y z qx qy qz qw, or with --bag a topic; got {' '.join(map(str, words))}")
 
 
 def read_parameters(args: argparse.Namespace) -> dict[str, Any]:
@@ -114,25 +163,53 @@ def run(args: argparse.Namespace) -> int:
     settings = settings_from({name: value for name, value in values.items() if name in PARAMETERS})
     if args.picture is not None and args.picture.suffix.lower() not in (".png", ".svg", ".pdf"):
         raise ParameterError(f"--picture {args.picture}: ends in none of .png, .svg, .pdf")
+    _sort_arguments(args)
+    if args.bag is not None:
+        from lime_planner.cli_bag import read_bag
+
+        robot = load_arm(settings)
+        recorded = read_bag(args.bag, values, robot, settings.self_filter_padding_m, args.topics, args.at)
+        args.scene = args.bag
+        return plan_in(recorded.scene, robot, settings, args, recorded.start)
+    from lime_planner.scene.files import load_start
+
     scene = read_scene(args, values)  # before the robot, which takes seconds
+    start = load_start(args.scene)
     robot = load_arm(settings)
     if not scene.frame_id:
         scene = dataclasses.replace(scene, frame_id=robot.planning_frame)
-    return plan_in(scene, robot, settings, args)
+    return plan_in(scene, robot, settings, args, start)
 
 
-def plan_in(scene: Scene, robot: Robot, settings: Settings, args: argparse.Namespace) -> int:
-    """Plan in a loaded scene and report."""
+def _start(args: argparse.Namespace, robot: Robot, recorded: Start | None) -> Any:
+    """Return the configuration to start from (n,) [rad]: the option's, else the recorded one, else the arm's home."""
+    import numpy as np
+
+    from lime_planner.robot.model import home
+
+    if args.start is None and recorded is None:
+        return home(robot)
+    if args.start is None and recorded is not None:
+        if set(recorded.joint_names) != set(robot.joint_names):
+            names = f"{', '.join(recorded.joint_names)}; the arm has {', '.join(robot.joint_names)}"
+            raise ParameterError(f"{args.scene}: its start is of the joints {names} (--start gives another one)")
+        return recorded.q[[recorded.joint_names.index(name) for name in robot.joint_names]]
+    q_start = np.asarray(args.start)
+    if q_start.shape != (robot.n,):
+        raise ParameterError(f"--start needs {robot.n} angles, one for each of {', '.join(robot.joint_names)}; got {len(q_start)}")
+    return q_start
+
+
+def plan_in(scene: Scene, robot: Robot, settings: Settings, args: argparse.Namespace, start: Start | None = None) -> int:
+    """Plan in a loaded scene and report; `start` is where the arm was when the scene was recorded."""
     import numpy as np
 
     from lime_planner.pipeline import Pipeline
     from lime_planner.poses import pose_to_matrix
-    from lime_planner.robot.model import home
     from lime_planner.status import Status
+    from lime_planner.viewer.progress import working
 
-    q_start = home(robot) if args.start is None else np.asarray(args.start)
-    if q_start.shape != (robot.n,):
-        raise ParameterError(f"--start needs {robot.n} angles, one for each of {', '.join(robot.joint_names)}; got {len(q_start)}")
+    q_start = _start(args, robot, start)
     target = scene.target_pose if args.target is None else np.asarray(args.target)
     if target is None:
         return _refuse(args, Status.NO_TARGET.name, Status.NO_TARGET.message(f"{args.scene} has no target_pose; give one with --target"))
@@ -143,8 +220,10 @@ def plan_in(scene: Scene, robot: Robot, settings: Settings, args: argparse.Names
     T_base_tool = pose_to_matrix(target)
     should_stop = _stopped_by_signal()
     pipeline = Pipeline(robot)
-    pipeline.warm_up()  # compiling must not eat the time budget
-    result = pipeline.plan(scene, T_base_tool, q_start, settings, should_stop=should_stop, seed=settings.seed)
+    with working("compiling (minutes the first time ever, a second or two later)"):
+        pipeline.warm_up()  # compiling must not eat the time budget
+    with working("planning", seconds=None if settings.iterations else settings.time_budget_s):
+        result = pipeline.plan(scene, T_base_tool, q_start, settings, should_stop=should_stop, seed=settings.seed)
     return _report(result, scene, robot, q_start, target, args)
 
 
@@ -185,10 +264,10 @@ def _stopped_by_signal() -> Callable[[], bool]:
 
 def _refuse(args: argparse.Namespace, code: str, message: str) -> int:
     """Report an outcome that needed no planning."""
-    from lime_planner.viewer.tables import write_json
+    from lime_planner.cli_output import emit_json
 
     if args.json is not None:
-        write_json(args.json, {"status": code, "message": message})
+        emit_json(args.json, {"status": code, "message": message})
     print(message, file=sys.stderr)
     return 1
 
@@ -202,12 +281,16 @@ def _provenance(args: argparse.Namespace, target: Any) -> dict[str, Any]:
 
 
 def _report(result: PlanResult, scene: Scene, robot: Robot, q_start: Any, target: Any, args: argparse.Namespace) -> int:
+    from lime_planner.cli_output import emit_json, is_stdout
     from lime_planner.status import Status
-    from lime_planner.viewer.tables import headline, print_plans, write_json
+    from lime_planner.viewer.tables import headline, print_plans
 
     figures = result.figures()
+    quiet = is_stdout(args.json)
     if args.json is not None:
-        print(f"figures: {write_json(args.json, {**figures, **_provenance(args, target)})}")
+        emit_json(args.json, {**figures, **_provenance(args, target)})
+        if not quiet:
+            print(f"figures: {args.json}")
     if args.picture is not None:
         from lime_planner.viewer.picture import draw_picture
 
@@ -223,10 +306,13 @@ def _report(result: PlanResult, scene: Scene, robot: Robot, q_start: Any, target
             target_pose=target,
             title=headline(figures) if result.status is Status.SUCCEEDED else result.status.name,
         )
-        print(f"picture: {args.picture}")
+        if not quiet:
+            print(f"picture: {args.picture}")
     if result.status is not Status.SUCCEEDED:
         print(result.message, file=sys.stderr)
         return 1
+    if quiet:
+        return 0
     print(result.message)
     trajectory = result.trajectory
     extra = [("duration of the motion [s]", [f"{trajectory.duration_s:.2f}" if trajectory is not None else "–"])]

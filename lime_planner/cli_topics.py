@@ -15,18 +15,30 @@ _TOPICS = (
 )
 
 
-def add_topics(parser: argparse.ArgumentParser) -> None:
-    """Declare the options."""
+def add_parameters(parser: argparse.ArgumentParser) -> None:
+    """Declare the options for the planner's parameters."""
     parser.add_argument("--params", type=Path, metavar="FILE", help="the planner's ROS parameter file")
     parser.add_argument(
         "--set", action="append", default=[], metavar="PARAMETER=VALUE", dest="assignments", help="set any parameter; repeatable"
     )
-    parser.add_argument("--namespace", default="", metavar="NS", help="namespace of the planner and its topics")
+
+
+def add_topics(parser: argparse.ArgumentParser, *, live: bool = True, without: tuple[str, ...] = ()) -> None:
+    """Declare the options for the topics.
+
+    Args:
+        parser: the command's.
+        live: with the namespace of a running planner.
+        without: inputs that have no option.
+    """
+    if live:
+        parser.add_argument("--namespace", default="", metavar="NS", help="namespace of the planner and its topics")
     for option, name, what in _TOPICS:
-        parser.add_argument(option, metavar="TOPIC", dest=f"topic_{name}", help=f"{what} (default {name})")
+        if name not in without:
+            parser.add_argument(option, metavar="TOPIC", dest=f"topic_{name}", help=f"{what} (default {name})")
 
 
 def topics_of(args: argparse.Namespace) -> dict[str, str]:
     """Return the topics that were given, by input."""
-    given = {name: getattr(args, f"topic_{name}") for _, name, _ in _TOPICS}
+    given = {name: getattr(args, f"topic_{name}", None) for _, name, _ in _TOPICS}
     return {name: topic for name, topic in given.items() if topic}

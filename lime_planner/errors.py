@@ -19,5 +19,11 @@ class ParameterError(LimePlannerError, ValueError):
     """A parameter outside its range; the text names the parameter, the value and the limit."""
 
 
+class UsageError(ParameterError):
+    """Options of a command that are missing or do not go together; the exit status is 2, as for every wrong usage."""
+
+    exit_status = 2
+
+
 class ProblemError(LimePlannerError, ValueError):
     """A malformed planning call: wrong shape, not finite; the text names the argument."""

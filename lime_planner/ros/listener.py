@@ -99,13 +99,13 @@ class Listener:
         """Return the full names of the planner nodes in sight."""
         return sorted(f"{space.rstrip('/')}/{name}" for name, space in self.node.get_node_names_and_namespaces() if name == _PLANNER)
 
-    def wait(self, condition: Callable[[], bool], timeout_s: float) -> bool:
-        """Wait until a condition holds; False if it does not in time."""
+    def wait(self, condition: Callable[[], bool], timeout_s: float, *, poll_s: float = 0.01) -> bool:
+        """Wait until a condition holds, looked at every `poll_s`; False if it does not in time."""
         deadline = time.monotonic() + timeout_s
         while not condition():
             if time.monotonic() >= deadline:
                 return False
-            time.sleep(0.01)
+            time.sleep(poll_s)
         return True
 
     def __enter__(self) -> Listener:

@@ -15,7 +15,7 @@ from lime_planner.ros.frames import Frames
 from lime_planner.ros.inputs import CLOUDS, Inputs, Sample
 from lime_planner.ros.params import NodeSettings, Snapshot
 from lime_planner.ros.refusal import Refusal
-from lime_planner.scene.scene import Scene
+from lime_planner.scene.scene import Scene, merged
 from lime_planner.status import Status
 
 Float32 = npt.NDArray[np.float32]
@@ -120,7 +120,7 @@ class SceneSource:
             or len(self._merged[0]) != len(parts)
             or any(a is not b for a, b in zip(self._merged[0], parts, strict=True))
         ):
-            self._merged = (parts, _merged(parts, self._planning_frame))
+            self._merged = (parts, merged(parts, self._planning_frame))
         return self._merged[1]
 
     def _samples(self, node: NodeSettings) -> dict[str, Sample]:
@@ -203,21 +203,3 @@ def _refuse_emptiness(names: Iterable[str], scene: Scene, node: NodeSettings) ->
     received, gone = scene.counts.get("received", 0), scene.counts.get("non_finite", 0)
     sentence = f"no stem point among the {received} points of {' and '.join(names) or 'no cloud'} ({gone} not finite)"
     raise Refusal(Status.NO_CLOUD, f"{sentence}; allow_empty_stem_cloud permits motion without")
-
-
-def _merged(parts: list[Scene], frame_id: str) -> Scene:
-    """Put the scenes of several clouds together; the counts add up."""
-    counts: dict[str, int] = {}
-    for part in parts:
-        for name, count in part.counts.items():
-            counts[name] = counts.get(name, 0) + count
-    return Scene(
-        leaf_points=np.concatenate([np.empty((0, 3), np.float32), *(part.leaf_points for part in parts)]),
-        leaf_costs=np.concatenate([np.empty(0, np.float32), *(part.leaf_costs for part in parts)]),
-        stem_points=np.concatenate([np.empty((0, 3), np.float32), *(part.stem_points for part in parts)]),
-        fruit_points=np.concatenate([np.empty((0, 3), np.float32), *(part.fruit_points for part in parts)]),
-        frame_id=frame_id,
-        counts=counts,
-        stem_displacement_m=max((part.stem_displacement_m for part in parts), default=0.0),
-        leaf_displacement_m=max((part.leaf_displacement_m for part in parts), default=0.0),
-    )

@@ -2,7 +2,8 @@
 
 An `.npz` holds `points` (N, 3) [m] and `labels` (N,), and optionally `permeability_cost` (N,), `target_pose` (7,), `frame_id`,
 `stake_points` (S, 3), and the ground truth of generated plants: `leaf_ids` (N,), `leaf_triangles` (L, 3, 3), `leaf_triangle_ids`
-(L,), `fruit_centres` (F, 3), `fruit_radii` (F,). Pickled members are refused: a scene file cannot run code.
+(L,), `fruit_centres` (F, 3), `fruit_radii` (F,). Recorded scenes also hold the arm's configuration when they were taken, `start`
+(n,) [rad] with `start_joints` (n,), and how far thinning moved their points. Pickled members are refused: a scene file cannot run code.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ from __future__ import annotations
 import contextlib
 import os
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +27,22 @@ SUFFIXES = (".npz", ".ply", ".pcd")
 _TRUTH = ("leaf_triangles", "leaf_triangle_ids", "fruit_centres", "fruit_radii")
 _OPTIONAL = ("permeability_cost", "target_pose", "stake_points", "leaf_ids", *_TRUTH)
 
+_DISPLACEMENTS = ("stem_displacement_m", "leaf_displacement_m")
+
 Members = dict[str, npt.NDArray[Any]]
+
+
+@dataclass(frozen=True)
+class Start:
+    """Where the arm was when a scene was taken.
+
+    Attributes:
+        joint_names: the arm's joints.
+        q: (n,) their angles, turns kept [rad].
+    """
+
+    joint_names: tuple[str, ...]
+    q: npt.NDArray[np.float64]
 
 
 def load_scene(
@@ -67,6 +84,7 @@ def load_scene(
         raise SceneError(f"{path}: holds no points")
     frame = str(members.pop("frame_id", default_frame)) or default_frame
     try:
+        displacements = {name: _displacement(name, members.pop(name)) for name in _DISPLACEMENTS if name in members}
         scene = Scene.from_points(
             members.pop("points"),
             members.pop("labels"),
@@ -76,6 +94,7 @@ def load_scene(
             fruit_label=fruit_label,
             ignored_labels=ignored_labels,
             **members,
+            **displacements,
         )
         if not scene.n_points:
             raise SceneError(f"none of its points can be used ({_listed(scene.counts)})")
@@ -84,8 +103,34 @@ def load_scene(
         raise SceneError(f"{path}: {error}") from error
 
 
-def save_scene(path: str | os.PathLike[str], scene: Scene) -> None:
+def load_start(path: str | os.PathLike[str]) -> Start | None:
+    """Return where the arm was when a scene was recorded; None where the file does not say.
+
+    Raises:
+        SceneError: the file is damaged, or its angles do not fit its joint names.
+    """
+    path = Path(path)
+    if path.suffix.lower() != ".npz":
+        return None
+    try:
+        with np.load(path, allow_pickle=False) as archive:
+            if "start" not in archive.files or "start_joints" not in archive.files:
+                return None
+            q, names = np.asarray(archive["start"], dtype=np.float64), tuple(map(str, archive["start_joints"]))
+    except Exception as error:  # as for the scene itself
+        raise SceneError(f"{path}: its start cannot be read ({type(error).__name__}: {error})") from error
+    if q.shape != (len(names),) or not np.isfinite(q).all():
+        raise SceneError(f"{path}: start has shape {q.shape}, expected ({len(names)},) finite angles, one for each of start_joints")
+    return Start(names, q)
+
+
+def save_scene(path: str | os.PathLike[str], scene: Scene, start: Start | None = None) -> None:
     """Write a scene; a reader never sees half a file. PLY and PCD keep the points, their labels and costs, and nothing else.
+
+    Args:
+        path: an `.npz`, `.ply` or `.pcd` file.
+        scene: what to write.
+        start: where the arm was, in an `.npz` only.
 
     Raises:
         SceneError: the suffix is unknown or the file cannot be written.
@@ -98,7 +143,7 @@ def save_scene(path: str | os.PathLike[str], scene: Scene) -> None:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         if suffix == ".npz":
-            _write_npz(temporary, scene)
+            _write_npz(temporary, scene, start)
         else:
             points, labels, costs = labelled_points(scene)
             write_cloud(temporary, points, labels, costs if (costs != 1.0).any() else None)
@@ -127,7 +172,7 @@ def _read_npz(path: Path) -> Members:
             for name in ("points", "labels"):
                 if name not in archive.files:
                     raise SceneError(f"{path}: has no array {name!r}; it has {', '.join(sorted(archive.files)) or 'none'}")
-            for name in ("points", "labels", "frame_id", *_OPTIONAL):
+            for name in ("points", "labels", "frame_id", *_OPTIONAL, *_DISPLACEMENTS):
                 if name in archive.files:
                     members[name] = archive[name]
     except SceneError:
@@ -137,7 +182,7 @@ def _read_npz(path: Path) -> Members:
     return members
 
 
-def _write_npz(path: Path, scene: Scene) -> None:
+def _write_npz(path: Path, scene: Scene, start: Start | None) -> None:
     points, labels, costs = labelled_points(scene)
     members: dict[str, Any] = {"points": points, "labels": labels, "frame_id": np.array(scene.frame_id)}
     if (costs != 1.0).any():
@@ -147,7 +192,16 @@ def _write_npz(path: Path, scene: Scene) -> None:
     if scene.leaf_ids is not None:
         members["leaf_ids"] = np.concatenate([scene.leaf_ids, np.full(len(points) - len(scene.leaf_ids), -1, dtype=np.int32)])
     members.update({name: getattr(scene, name) for name in _TRUTH if getattr(scene, name) is not None})
+    members.update({name: np.float64(value) for name in _DISPLACEMENTS if (value := getattr(scene, name)) > 0.0})
+    if start is not None:
+        members.update(start=start.q, start_joints=np.array(start.joint_names))
     np.savez_compressed(path, **members)
+
+
+def _displacement(name: str, value: npt.NDArray[Any]) -> float:
+    if value.ndim or value.dtype.kind not in "iuf" or not 0.0 <= value < np.inf:
+        raise SceneError(f"{name}: {value!r} is not a finite number of at least 0")
+    return float(value)
 
 
 def _listed(counts: Any) -> str:

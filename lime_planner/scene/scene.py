@@ -267,6 +267,24 @@ class Scene:
         return dataclasses.replace(self, **changed)
 
 
+def merged(parts: Sequence[Scene], frame_id: str) -> Scene:
+    """Put the scenes of several clouds of one frame together; the counts add up, ground truth and targets are left out."""
+    counts: dict[str, int] = {}
+    for part in parts:
+        for name, count in part.counts.items():
+            counts[name] = counts.get(name, 0) + count
+    return Scene(
+        leaf_points=np.concatenate([np.empty((0, 3), np.float32), *(part.leaf_points for part in parts)]),
+        leaf_costs=np.concatenate([np.empty(0, np.float32), *(part.leaf_costs for part in parts)]),
+        stem_points=np.concatenate([np.empty((0, 3), np.float32), *(part.stem_points for part in parts)]),
+        fruit_points=np.concatenate([np.empty((0, 3), np.float32), *(part.fruit_points for part in parts)]),
+        frame_id=frame_id,
+        counts=counts,
+        stem_displacement_m=max((part.stem_displacement_m for part in parts), default=0.0),
+        leaf_displacement_m=max((part.leaf_displacement_m for part in parts), default=0.0),
+    )
+
+
 def _points(name: str, value: npt.ArrayLike) -> Float32:
     """Return (N, 3) float32; points beyond float32 become infinite here and are dropped by the caller as not finite."""
     try:

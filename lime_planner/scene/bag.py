@@ -1,0 +1,174 @@
+"""Recordings of ROS (rosbag2 as sqlite3 or MCAP, and ROS 1 bags), read without ROS: the newest message of a topic at a given time."""
+
+from __future__ import annotations
+
+import contextlib
+from collections import deque
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+from lime_planner.errors import ProblemError, SceneError
+from lime_planner.poses import pose_to_matrix
+from lime_planner.transforms import TransformTree
+
+CLOUD = "sensor_msgs/msg/PointCloud2"
+POSE = "geometry_msgs/msg/PoseStamped"
+JOINTS = "sensor_msgs/msg/JointState"
+_TF = "tf2_msgs/msg/TFMessage"
+_TF_TOPICS = ("/tf_static", "/tf")
+
+_NS = 1_000_000_000
+_FIRST_WINDOW_NS = _NS  #: how far back is looked first; clouds come more often than that
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """One message of a recording.
+
+    Attributes:
+        topic: where it was published.
+        at_s: when it was recorded, from the recording's beginning [s].
+        msg: the message, with the attributes that ROS gives it.
+    """
+
+    topic: str
+    at_s: float
+    msg: Any
+
+
+class Recording:
+    """An open recording; a context manager."""
+
+    def __init__(self, path: Path) -> None:
+        """Name the recording.
+
+        Args:
+            path: the folder that `ros2 bag record` made, a file in it, or a ROS 1 bag.
+        """
+        self.path = path
+        self._reader: Any = None
+
+    def __enter__(self) -> Recording:
+        """Open it.
+
+        Raises:
+            SceneError: it is missing, damaged or empty.
+        """
+        from rosbags.highlevel import AnyReader
+        from rosbags.typesys import Stores, get_typestore
+
+        path = self.path
+        if not path.exists():
+            raise SceneError(f"{path}: there is no such recording")
+        if path.suffix in (".db3", ".mcap"):
+            path = path.parent
+        if path.is_dir() and not (path / "metadata.yaml").is_file():
+            raise SceneError(f"{self.path}: has no metadata.yaml beside it; name the folder that `ros2 bag record` made")
+        with self._readable():
+            # Recordings of older distributions do not hold the definitions of their messages.
+            self._reader = AnyReader([path], default_typestore=get_typestore(Stores.ROS2_JAZZY))
+            self._reader.open()
+        if not self._reader.message_count:
+            self.__exit__(None, None, None)
+            raise SceneError(f"{self.path}: holds no messages")
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        """Close it."""
+        self._reader.close()
+
+    @property
+    def duration_s(self) -> float:
+        """Time from the first message to the last [s]."""
+        return float(self._reader.duration - 1) / _NS  # rosbags counts to just after the last one
+
+    def topics(self, kind: str | None = None) -> list[str]:
+        """Return the topics, all or those of one type."""
+        return sorted({c.topic for c in self._reader.connections if kind is None or c.msgtype == kind})
+
+    def find(self, name: str, kind: str) -> str | None:
+        """Return the topic of a type whose last part is `name`; None if there is none, or more than one."""
+        found = [topic for topic in self.topics(kind) if topic.rsplit("/", 1)[-1] == name]
+        return found[0] if len(found) == 1 else None
+
+    def check_time(self, at_s: float) -> None:
+        """Check a time against the recording's length.
+
+        Raises:
+            SceneError: it lies outside.
+        """
+        if not 0.0 <= at_s <= self.duration_s:
+            raise SceneError(f"{self.path}: is {self.duration_s:.3f} s long; --at {at_s:g} lies outside")
+
+    def newest(self, topic: str, kind: str, at_s: float) -> Recorded:
+        """Return the newest message of a topic at a time.
+
+        Args:
+            topic: its full name.
+            kind: the type that it must have.
+            at_s: from the recording's beginning [s].
+
+        Raises:
+            SceneError: no such topic, another type, or its first message comes later.
+        """
+        connections = self._connections(topic, kind)
+        begin, until = int(self._reader.start_time), int(self._reader.start_time) + round(at_s * _NS) + 1
+        window: int = _FIRST_WINDOW_NS
+        with self._readable():
+            while True:
+                since = max(begin, until - window)
+                last = deque(self._reader.messages(connections, start=since, stop=until), maxlen=1)
+                if last or since == begin:
+                    break
+                window *= 4
+            if last:
+                connection, time_ns, raw = last[0]
+                return Recorded(topic, (time_ns - begin) / _NS, self._reader.deserialize(raw, connection.msgtype))
+            first = next(iter(self._reader.messages(connections)), None)
+        if first is None:
+            raise SceneError(f"{self.path}: {topic} has no message")
+        raise SceneError(f"{self.path}: the first message of {topic} comes at {(first[1] - begin) / _NS:.3f} s, after --at {at_s:g}")
+
+    def transforms(self, at_s: float) -> TransformTree:
+        """Return the transforms of `/tf_static` and `/tf` as they were at a time; broken ones are left out."""
+        tree = TransformTree()
+        begin = int(self._reader.start_time)
+        until = begin + round(at_s * _NS) + 1
+        for topic in _TF_TOPICS:
+            connections = [c for c in self._reader.connections if c.topic == topic and c.msgtype == _TF]
+            # Static transforms hold for all time, also where the recorder got them late.
+            stop = None if topic == _TF_TOPICS[0] else until
+            with self._readable():
+                for connection, _, raw in self._reader.messages(connections, stop=stop) if connections else ():
+                    for stamped in self._reader.deserialize(raw, connection.msgtype).transforms:
+                        _add(tree, stamped)
+        return tree
+
+    def _connections(self, topic: str, kind: str) -> list[Any]:
+        of_topic = [c for c in self._reader.connections if c.topic == topic]
+        there = ", ".join(self.topics(kind)) or "none"
+        wanted = kind.replace("/msg/", "/")
+        if not of_topic:
+            raise SceneError(f"{self.path}: has no topic {topic}; topics of type {wanted}: {there}")
+        others = {c.msgtype for c in of_topic if c.msgtype != kind}
+        if others:
+            is_ = ", ".join(sorted(others)).replace("/msg/", "/")
+            raise SceneError(f"{self.path}: {topic} holds {is_}, not {wanted}; topics of that type: {there}")
+        return of_topic
+
+    @contextlib.contextmanager
+    def _readable(self) -> Iterator[None]:
+        try:
+            yield
+        except Exception as error:  # damaged files make sqlite, lz4, YAML and struct raise a dozen kinds
+            text = " ".join(str(error).split())
+            raise SceneError(f"{self.path}: is not a readable recording ({type(error).__name__}: {text})") from error
+
+
+def _add(tree: TransformTree, stamped: Any) -> None:
+    t, r = stamped.transform.translation, stamped.transform.rotation
+    with contextlib.suppress(ProblemError):
+        tree.add(stamped.header.frame_id, stamped.child_frame_id, pose_to_matrix([t.x, t.y, t.z, r.x, r.y, r.z, r.w]))
