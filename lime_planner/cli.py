@@ -78,8 +78,12 @@ examples:
   lime-planner plan scan.ply --offset 0.55 0 0.05 \\
       --target 0.5 0.1 0.4 0 0.7071 0 0.7071
   lime-planner plan plant.npz --time 2 --json plan.json --set leaf_policy=solid
+  lime-planner doctor                           is everything there and heard?
+  lime-planner record now.npz                   what the cameras see now
 
-A command's own help: lime-planner plan --help.
+A command's own help: lime-planner plan --help. Completion in this shell:
+  source <(lime-planner completion bash)
+What goes wrong is one line on standard error; --debug adds the traceback.
 """
 
 
@@ -88,6 +92,7 @@ class _Formatter(argparse.RawDescriptionHelpFormatter):
 
     def __init__(self, prog: str) -> None:
         super().__init__(prog, max_help_position=26, width=80)
+        self._action_max_length = 14  # argparse forgets that the names of commands are indented
 
 
 class _Parser(argparse.ArgumentParser):
@@ -143,6 +148,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run one command and return its exit status: 0 for success, 1 with `CODE: sentence` on standard error, 2 for wrong usage."""
     arguments = list(sys.argv[1:] if argv is None else argv)
     debug = "--debug" in arguments
+    if not arguments:
+        build_parser(()).print_help(sys.stderr)
+        return 2
     try:
         args = build_parser(arguments).parse_args(arguments)
         return int(args.run(args))

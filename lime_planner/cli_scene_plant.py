@@ -17,6 +17,8 @@ examples:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the command's arguments."""
+    from lime_planner.cli_output import add_json
+
     parser.epilog = _EPILOG
     parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="scene file to write: .npz, .ply or .pcd")
     parser.add_argument("--seed", type=int, default=15, metavar="N", help="the same seed grows the same plant (default 15)")
@@ -27,14 +29,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--radius", type=float, default=0.28, metavar="M", help="radius of its canopy [m] (default 0.28)")
     where = "foot of its trunk in the frame of the arm's base [m] (default 0.62 0 0)"
     parser.add_argument("--position", nargs=3, type=float, default=(0.62, 0.0, 0.0), metavar=("X", "Y", "Z"), help=where)
+    add_json(parser, "what was grown")
 
 
 def run(args: argparse.Namespace) -> int:
     """Grow the plant and write it."""
     import numpy as np
 
+    from lime_planner.cli_output import emit_json, is_stdout
     from lime_planner.scene.files import save_scene
     from lime_planner.scene.plant import PlantOptions, generate_plant
+    from lime_planner.viewer.progress import working
 
     options = PlantOptions(
         density=args.density,
@@ -48,7 +53,14 @@ def run(args: argparse.Namespace) -> int:
         from lime_planner.errors import ParameterError
 
         raise ParameterError(f"--seed is {args.seed}; it must be at least 0")
-    scene = generate_plant(np.random.default_rng(args.seed), options)
-    save_scene(args.out, scene)
+    with working("growing"):
+        scene = generate_plant(np.random.default_rng(args.seed), options)
+        save_scene(args.out, scene)
+    if args.json is not None:
+        counts = {"leaf": len(scene.leaf_points), "stem": len(scene.stem_points), "fruit": len(scene.fruit_points)}
+        target = None if scene.target_pose is None else scene.target_pose.tolist()
+        emit_json(args.json, {"file": str(args.out), "seed": args.seed, "points": counts, "target_pose": target})
+    if is_stdout(args.json):
+        return 0
     print(f"{args.out}: {len(scene.leaf_points)} leaf, {len(scene.stem_points)} stem and {len(scene.fruit_points)} lime points")
     return 0

@@ -18,17 +18,29 @@ examples:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the command's arguments."""
+    from lime_planner.cli_output import add_json
+
     parser.epilog = _EPILOG
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for the scans and their licence")
+    add_json(parser, "files and licence")
 
 
 def run(args: argparse.Namespace) -> int:
     """Obtain the scans and print their licence."""
+    from lime_planner.cli_output import emit_json, is_stdout
     from lime_planner.scene.tomatowur import obtain
+    from lime_planner.viewer.progress import working
     from lime_planner.viewer.tables import console
 
-    print("downloading the public scans through pip", flush=True)
-    obtained = obtain(args.out)
+    quiet = is_stdout(args.json)
+    if not quiet:
+        print("downloading the public scans through pip", flush=True)
+    with working("downloading"):
+        obtained = obtain(args.out)
+    if args.json is not None:
+        emit_json(args.json, {"scans": [str(scan) for scan in obtained.scans], "licence": str(obtained.licence)})
+    if quiet:
+        return 0
     for scan in obtained.scans:
         print(scan)
     console().print(f"\n{obtained.summary}\nLicence: {obtained.licence}", soft_wrap=False)

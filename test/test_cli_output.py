@@ -1,0 +1,94 @@
+"""What every command does the same way: JSON for programs, bars for people at a terminal only, and completion in the shell."""
+
+from __future__ import annotations
+
+import io
+import json
+import subprocess
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+from rich.console import Console
+
+from lime_planner import cli
+from lime_planner.cli_output import emit_json
+from lime_planner.errors import ParameterError
+from lime_planner.parameters import NODE_PARAMETERS, PARAMETERS
+from lime_planner.viewer import progress
+
+
+def answer(capsys: pytest.CaptureFixture[str], *arguments: Any) -> Any:
+    """Run a command that must print JSON and nothing else."""
+    assert cli.main([*map(str, arguments)]) == 0
+    out, err = capsys.readouterr()
+    assert err == ""
+    return json.loads(out)
+
+
+def test_json_of_scenes_and_parameters(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "plant.npz"
+    grown = answer(capsys, "scene", "plant", "--density", "sparse", "--limes", 1, "--out", path, "--json")
+    info = answer(capsys, "scene", "info", path, "--json")
+    assert info["points"] == grown["points"] and info["target_pose"] == grown["target_pose"] and grown["points"]["leaf"] > 0
+    assert info["frame_id"] == "base" and len(info["extent_m"]["stem"]) == 2 and info["start"] is None
+    table = answer(capsys, "parameters", "--json")
+    assert table.keys() == PARAMETERS.keys() | NODE_PARAMETERS.keys()
+    assert table["stem_margin_m"]["unit"] == "m" and table["motion_enabled"]["node_only"] is True
+    assert list(answer(capsys, "parameters", "stem_margin", "--json")) == ["stem_margin_m"]
+
+
+def test_json_into_a_file_leaves_the_text(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = tmp_path / "deep" / "parameters.json"
+    assert cli.main(["parameters", "seed", "--json", str(file)]) == 0
+    assert "seed = 0" in capsys.readouterr().out
+    assert "seed" in json.loads(file.read_text())
+    (tmp_path / "file").write_text("")
+    with pytest.raises(ParameterError, match="cannot be written"):
+        emit_json(tmp_path / "file" / "a.json", {})
+
+
+def test_a_bar_on_a_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
+    shown = io.StringIO()
+    monkeypatch.setattr(progress, "console", lambda error: Console(file=shown, force_terminal=True, width=80))
+    with progress.working("growing", total=2) as bar:
+        bar.say("growing leaves")
+        bar.advance()
+    assert "growing leaves" in shown.getvalue()
+    with progress.working("planning", seconds=0.2):
+        time.sleep(0.25)
+    assert "planning" in shown.getvalue()
+
+
+def test_no_bar_elsewhere(capsys: pytest.CaptureFixture[str]) -> None:
+    with progress.working("growing") as bar:
+        bar.say("growing leaves")
+        bar.advance()
+    assert capsys.readouterr() == ("", "")
+
+
+def test_nothing_asked_for_is_answered_with_help(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main([]) == 2
+    out, err = capsys.readouterr()
+    assert out == "" and "lime-planner doctor" in err
+    assert max(map(len, err.splitlines())) <= 80
+
+
+def test_completion(capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("shtab", reason="shtab is not in this environment (extra `completion`)")
+    assert cli.main(["completion", "zsh"]) == 0
+    assert capsys.readouterr().out.startswith("#compdef lime-planner")
+    assert cli.main(["completion", "bash"]) == 0
+    script = capsys.readouterr().out
+
+    def completed(*words: str) -> set[str]:
+        listed = " ".join(f"'{word}'" for word in words)
+        tail = f"COMP_WORDS=({listed}); COMP_CWORD={len(words) - 1}; _shtab_lime_planner; printf '%s\\n' \"${{COMPREPLY[@]}}\""
+        done = subprocess.run(["bash", "-c", f"{script}\n{tail}"], capture_output=True, text=True, check=True)
+        return set(done.stdout.split())
+
+    assert completed("lime-planner", "d") >= {"demo", "doctor"}
+    assert completed("lime-planner", "scene", "") >= {"plant", "info", "tomatowur"}
+    assert completed("lime-planner", "plan", "--le") == {"--leaf"}
+    assert completed("lime-planner", "completion", "") >= {"bash", "zsh"}
