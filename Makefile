@@ -1,7 +1,7 @@
 # lime_planner: `make demo` and `make test` set everything up themselves. `make help` says what else there is.
 SHELL := /bin/bash
 .DEFAULT_GOAL := help
-.PHONY: help setup demo view test lint clean
+.PHONY: help setup demo view test lint docs clean
 
 BIN := $(CURDIR)/.venv/bin
 SCENE ?=
@@ -24,6 +24,7 @@ help:
 	@echo "make view                   the same nodes with a 3-D page to look at and to steer them from (SCENE=..., VIEW_ARGS='--port 8090')"
 	@echo "make test                   ruff, mypy and all tests (some of them: PYTEST_ARGS='-k name')"
 	@echo "make lint                   ruff and mypy alone"
+	@echo "make docs                   build the documentation into site/; its first page is site/index.html"
 	@echo "make setup                  only what the others do first: system libraries, .venv, dependencies (PYTHON=... to choose one)"
 	@echo "make clean                  remove .venv, builds, caches and out/"
 
@@ -43,6 +44,10 @@ lint: setup
 test: lint
 	ROS_PYTHON_CHECK_FIELDS=1 $(BIN)/python -m pytest $(PYTEST_ARGS)
 
+docs: setup
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
+	@echo "documentation: site/index.html"
+
 clean:
-	rm -rf .venv build install log out dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf .venv build install log out site dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from lime_planner.robot.model import Robot
     from lime_planner.scene.plant import PlantOptions, generate_plant
     from lime_planner.scene.scene import Scene
+    from lime_planner.scene.targets import grasp_pose
     from lime_planner.status import Status
 
 __version__ = "0.1.0"
@@ -41,6 +42,7 @@ __all__ = [
     "Status",
     "draw",
     "generate_plant",
+    "grasp_pose",
     "matrix_to_pose",
     "plan",
     "pose_to_matrix",
@@ -56,6 +58,7 @@ _MODULES = {
     "lime_planner.robot.model": ("Robot",),
     "lime_planner.scene.plant": ("PlantOptions", "generate_plant"),
     "lime_planner.scene.scene": ("Scene",),
+    "lime_planner.scene.targets": ("grasp_pose",),
     "lime_planner.status": ("Status",),
 }
 _HOME_OF = {name: module for module, names in _MODULES.items() for name in names}

@@ -142,7 +142,7 @@ fi
 : >"$partial"
 
 # --- Dependencies and the package --------------------------------------------------------------------------------------------
-extras=experiments,cluster,bench,bags,completion,viewer,test,colcon
+extras=experiments,cluster,bench,bags,completion,viewer,docs,test,colcon
 log=$venv/setup.log
 : >"$log"
 install() {

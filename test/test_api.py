@@ -42,7 +42,7 @@ def test_a_result_is_easy_to_look_at(result: PlanResult) -> None:
     table = result._repr_html_()
     assert "<b>SUCCEEDED</b>" in table and f"{result.path_length_rad:.2f}" in table and table.count("<tr>") == 8
     refused = PlanResult(Status.NO_PATH, "NO_PATH: <none>", "lime_star", 1)
-    assert "&lt;none&gt;" in refused._repr_html_() and "–" in refused._repr_html_()
+    assert "&lt;none&gt;" in refused._repr_html_() and refused._repr_html_().count("<tr>") == 2
     assert not refused.succeeded
 
 

@@ -99,11 +99,10 @@ class PlanResult:
     def _repr_html_(self) -> str:
         """Return the figures that matter as a table, for notebooks."""
         rows = [("planner, seed", f"{self.planner}, {self.seed}")]
-        for name, words, unit, factor, decimals in ROWS:
-            value = float(getattr(self, name))
-            rows.append((f"{words} [{unit}]", f"{value * factor:.{decimals}f}" if np.isfinite(value) else "–"))
-        duration = f"{self.trajectory.duration_s:.2f}" if self.trajectory is not None else "–"
-        rows.append(("duration of the motion [s]", duration))
+        figures = [(words, unit, float(getattr(self, name)) * factor, decimals) for name, words, unit, factor, decimals in ROWS]
+        if self.trajectory is not None:
+            figures.append(("duration of the motion", "s", self.trajectory.duration_s, 2))
+        rows += [(f"{words} [{unit}]", f"{value:.{decimals}f}") for words, unit, value, decimals in figures if np.isfinite(value)]
         cells = "".join(f"<tr><td>{html.escape(words)}</td><td>{html.escape(text)}</td></tr>" for words, text in rows)
         code, _, sentence = self.message.partition(": ")
         return f"<p><b>{html.escape(code)}</b>: {html.escape(sentence)}</p><table>{cells}</table>"

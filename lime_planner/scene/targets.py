@@ -36,8 +36,8 @@ def approach_directions(
     return unit(cosine * ray + np.sqrt(1.0 - cosine**2) * (np.cos(turn) * one + np.sin(turn) * two))
 
 
-def grasp_pose(position: npt.ArrayLike, direction: npt.ArrayLike, roll_rad: float) -> Float64:
-    """Return the pose (7,) at `position` (3,) [m] whose +z is the unit `direction` (3,), turned about it by `roll_rad`."""
+def grasp_pose(position: npt.ArrayLike, direction: npt.ArrayLike, roll_rad: float = 0.0) -> Float64:
+    """Return the pose (7,) at `position` (3,) [m] whose +z points along `direction` (3,), turned about it by `roll_rad`."""
     z = unit(np.asarray(direction, dtype=np.float64))
     one, two = perpendicular(z)
     x = np.cos(roll_rad) * one + np.sin(roll_rad) * two
