@@ -123,12 +123,12 @@ class Soak(Steps):
 
 
 def soak(
-    *, requests: int, seconds: float, seed: int, robot: str, controller: str, labelled: bool, domain: int, turns: bool = True
+    *, requests: int, seconds: float, seed: int, robot: str, controller: str, labelled: bool, domain: int, log: Path | None = None
 ) -> dict[str, Any]:
     """Start the nodes, run, take them down; the report."""
     model = load_robot(robot)
     rng = np.random.default_rng(seed)
-    start = home(model) + np.where(model.continuous, 2.0 * np.pi * rng.integers(-3, 4, model.n), 0.0) * turns
+    start = home(model) + np.where(model.continuous, 2.0 * np.pi * rng.integers(-3, 4, model.n), 0.0)
     arguments = ["--ros-args", "-p", f"robot:={robot}", "-p", f"controller:={controller}"]
     listed = "[" + ", ".join(f"{value:.6f}" for value in start) + "]"
     settings = ["--params-file", str(ROOT / "config" / f"{robot}.yaml")] if controller == "kinova" else []
@@ -146,6 +146,8 @@ def soak(
             bench.call("stop")
             return Soak(bench, planner, model, rng, labelled=labelled).run(requests, seconds)
         finally:
+            if log is not None:
+                log.write_text(planner.output)
             bench.close()
 
 
@@ -160,6 +162,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--labelled", action="store_true", help="one labelled cloud instead of leaf and stem clouds")
     parser.add_argument("--domain", type=int, default=1 + os.getpid() % 100)
     parser.add_argument("--json", type=Path, help="write the report here too")
+    parser.add_argument("--log", type=Path, help="write the planner's log here at the end")
     options = parser.parse_args(arguments)
     report = soak(
         requests=options.requests,
@@ -169,6 +172,7 @@ def main(arguments: list[str] | None = None) -> int:
         controller=options.controller,
         labelled=options.labelled,
         domain=options.domain,
+        log=options.log,
     )
     report = {"robot": options.robot, "controller": options.controller, "seed": options.seed, **report}
     text = json.dumps(report, indent=1)

@@ -24,8 +24,9 @@ STEP_RAD = 0.01
 STEM_RADIUS_M = 0.004
 EXCLUSION_M, APPROACH_M, PADDING_M = 0.06, 0.10, 0.01  # the planner's defaults
 START_TOLERANCE_RAD = 0.012  # the contract's 0.01, and what one joint state may move on the way to us
+STAMP_S = 0.4  # how well the moment of a cloud's stamp is known here
 STOP_REACH_RAD = 0.6  # a stop ends at most this far from the newest joint state
-_REMEMBERED_S = 20.0
+_REMEMBERED_S = 60.0
 
 
 def trajectory_of(msg: JointTrajectory) -> Trajectory:
@@ -42,12 +43,12 @@ class World:
     Attributes:
         scene: the scene.
         left_out: place (3,) whose fruit was left out of the stem cloud, or None for a labelled cloud, which tells fruit apart.
-        q: configuration (n,) when it was published.
+        since_s: when it was published; the cloud's stamp is within some tenths of a second of it.
     """
 
     scene: Scene
     left_out: np.ndarray | None
-    q: np.ndarray
+    since_s: float
 
     def hard_points(self, target: np.ndarray | None) -> np.ndarray:
         """What an arm on its way to a target must not touch, (N, 3)."""
@@ -90,9 +91,7 @@ class Judge:
 
     def publish(self, scene: Scene, left_out: np.ndarray | None) -> None:
         """Take note of a scene that is published now."""
-        q = self.newest()
-        assert q is not None
-        self.world = World(scene, left_out, q)
+        self.world = World(scene, left_out, time.monotonic())
 
     def knows(self, msg: JointTrajectory, statuses: list[dict[str, str]]) -> bool:
         """Tell whether there is a status for a command; a stop needs none."""
@@ -118,7 +117,7 @@ class Judge:
             found.append("its stamp is not zero")
         if any(point.accelerations or point.effort for point in msg.points):
             found.append("it has accelerations or efforts")
-        kind = "stop" if stop else "motion"
+        kind = "stop" if stop else f"motion ({kind_of(trajectory, statuses)})"
         self.faults += [f"{kind} of {trajectory.duration_s:.2f} s: {sentence}" for sentence in found]
         self.stops += stop
         self.motions += not stop
@@ -177,10 +176,17 @@ class Judge:
         place = () if target is None else tuple(target)
         if self._checker is None or self._checker[0] is not self.world or self._checker[1] != place:
             points = self.world.hard_points(target)
-            off_arm = self._surface.distance(points, self.world.q, within_m=PADDING_M + 0.003) > PADDING_M + 0.002
+            off_arm = np.ones(len(points), dtype=bool)
+            for q in self._around(self.world.since_s):
+                off_arm &= self._surface.distance(points, q, within_m=PADDING_M + 0.003) > PADDING_M + 0.002
             sphere = {"exclusion_centre": target, "exclusion_radius_m": EXCLUSION_M, "approach_zone_m": APPROACH_M}
             self._checker = self.world, place, ExactChecker(self.robot, points[off_arm], point_radius_m=STEM_RADIUS_M, **sphere)
         return self._checker[2]
+
+    def _around(self, at_s: float) -> list[np.ndarray]:
+        """Where the arm was around a moment; while it moves, nobody here knows more exactly where it was at a cloud's stamp."""
+        near = [q for state_s, q in list(self._states) if abs(state_s - at_s) < STAMP_S]
+        return near[:: max(len(near) // 12, 1)] or [q for q in (self.newest(at_s), self.newest()) if q is not None][:1]
 
     def blocked(self, after_s: float) -> str:
         """What the running motion will touch in the newest scene from `after_s` from now on; empty when nothing."""
@@ -198,12 +204,24 @@ class Judge:
         return trajectory.sample(time.monotonic() - since_s + after_s), target
 
 
-def target_of(trajectory: Trajectory, statuses: list[dict[str, str]]) -> tuple[bool, np.ndarray | None]:
-    """Find the status that belongs to a motion: (found, position of its target (3,) or None)."""
+def status_of(trajectory: Trajectory, statuses: list[dict[str, str]]) -> dict[str, str]:
+    """The newest status that belongs to a motion, empty when there is none."""
     for status in reversed(statuses):
         if '"positions"' in status.get("trajectory", ""):
             last = json.loads(status["trajectory"])["positions"][-1]
             if np.abs(np.asarray(last) - trajectory.positions[-1]).max() < 1e-5:
-                place = status.get("target_position")
-                return True, None if not place else np.array(json.loads(place))
-    return False, None
+                return status
+    return {}
+
+
+def kind_of(trajectory: Trajectory, statuses: list[dict[str, str]]) -> str:
+    """Which request a motion belongs to, in words."""
+    status = status_of(trajectory, statuses)
+    return f"{status.get('kind')} {status.get('plan_id')}"
+
+
+def target_of(trajectory: Trajectory, statuses: list[dict[str, str]]) -> tuple[bool, np.ndarray | None]:
+    """Find the status that belongs to a motion: (found, position of its target (3,) or None)."""
+    status = status_of(trajectory, statuses)
+    place = status.get("target_position")
+    return bool(status), None if not place else np.array(json.loads(place))

@@ -124,9 +124,9 @@ class Steps:
         scene = self.judge.world.scene
         stems = np.concatenate([scene.stem_points, twig.astype(np.float32)])
         scene = dataclasses.replace(scene, stem_points=stems)
-        self.judge.publish(scene, target)
         leaf, stem = encode_cloud(scene.leaf_points), encode_cloud(scene.impermeable_points(target, EXCLUSION_M))
         leaf.header.frame_id = stem.header.frame_id = scene.frame_id
+        self.judge.publish(scene, target)
         self.bench.send_clouds(leaf, stem)
         time.sleep(0.3)
 
