@@ -15,7 +15,7 @@ def pose_to_matrix(pose: npt.ArrayLike) -> Array:
     """Turn x y z qx qy qz qw [m, -] into a 4 x 4 matrix.
 
     Args:
-        pose: (7,), the quaternion of any length above 1e-6 (it is normalised).
+        pose: (7,), the quaternion of any length above 1e-6 or so (it is normalised).
 
     Raises:
         ProblemError: not seven finite numbers, or a quaternion of length zero.
@@ -25,11 +25,12 @@ def pose_to_matrix(pose: npt.ArrayLike) -> Array:
         raise ProblemError(f"a pose needs 7 numbers x y z qx qy qz qw, got shape {values.shape}")
     if not np.isfinite(values).all():
         raise ProblemError(f"the pose has a number that is not finite: {values.tolist()}")
-    length = float(np.linalg.norm(values[3:]))
-    if length < 1e-6:
-        raise ProblemError(f"the quaternion has length {length:.1e}; it must describe a rotation")
+    largest = float(np.abs(values[3:]).max())
+    if largest < 1e-6:
+        raise ProblemError(f"the quaternion has length {float(np.linalg.norm(values[3:])):.1e}; it must describe a rotation")
     matrix = np.eye(4)
-    matrix[:3, :3] = Rotation.from_quat(values[3:]).as_matrix()
+    # Divided by its largest number first: the squares of very large ones overflow.
+    matrix[:3, :3] = Rotation.from_quat(values[3:] / largest).as_matrix()
     matrix[:3, 3] = values[:3]
     return matrix
 
