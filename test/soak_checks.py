@@ -25,7 +25,7 @@ STEM_RADIUS_M = 0.004
 EXCLUSION_M, APPROACH_M, PADDING_M = 0.06, 0.10, 0.01  # the planner's defaults
 START_TOLERANCE_RAD = 0.012  # the contract's 0.01, and what one joint state may move on the way to us
 STAMP_S = 0.4  # how well the moment of a cloud's stamp is known here
-STOP_REACH_RAD = 0.6  # a stop ends at most this far from the newest joint state
+STOP_REACH_RAD = 0.15  # a stop ends at most this far from the newest joint state, or from the path
 _REMEMBERED_S = 60.0
 
 
@@ -123,7 +123,7 @@ class Judge:
         self.motions += not stop
 
     def _stop(self, at_s: float, trajectory: Trajectory) -> list[str]:
-        self._running = None
+        running, self._running = self._running, None
         found = []
         q = self.newest(at_s)
         if not (np.isfinite(trajectory.positions).all() and np.isfinite(trajectory.velocities).all()):
@@ -132,8 +132,12 @@ class Judge:
             found.append("the last velocity is not zero")
         if trajectory.joint_names != self.robot.joint_names:
             found.append(f"joints {trajectory.joint_names}")
-        if q is not None and np.abs(trajectory.positions[-1] - q).max() > STOP_REACH_RAD:
-            found.append(f"it ends {np.abs(trajectory.positions[-1] - q).max():.2f} rad from where the arm is")
+        places = [] if q is None else [q[None]]
+        if running is not None:  # silent joint states tell nothing of where it is; the plan does
+            places.append(running[1].positions)
+        off = min((float(np.abs(rows - trajectory.positions[-1]).max(axis=1).min()) for rows in places), default=0.0)
+        if off > STOP_REACH_RAD:
+            found.append(f"it ends {off:.2f} rad from where the arm is and from its path")
         return found
 
     def _motion(self, at_s: float, trajectory: Trajectory, statuses: list[dict[str, str]]) -> list[str]:

@@ -13,6 +13,8 @@ Array = npt.NDArray[np.float64]
 
 #: Points farther from the arm than this are reported as this far: nobody asks [m].
 FAR_M = 0.15
+#: Points of one query. Open3D keeps Python's lock meanwhile; a service that waits for it gets its turn between two queries.
+_PART = 2000
 
 
 class ArmSurface:
@@ -58,9 +60,16 @@ class ArmSurface:
             index, queried = near[boxed], local[boxed]
             if not len(index):
                 continue
-            found = scene.compute_distance(queried).numpy().astype(np.float64)
-            inside = np.asarray(((queried > low) & (queried < high)).all(axis=1))  # who is outside the box is outside the body
-            if inside.any():
-                inside[inside] = scene.compute_occupancy(queried[inside], nsamples=3).numpy() > 0.5
-            distances[index] = np.minimum(distances[index], np.where(inside, -found, found))
+            for begin in range(0, len(index), _PART):
+                part = slice(begin, begin + _PART)
+                distances[index[part]] = np.minimum(distances[index[part]], _signed(scene, queried[part], low, high))
         return distances
+
+
+def _signed(scene: Any, points: npt.NDArray[np.float32], low: Array, high: Array) -> Array:
+    """Distances of points (N, 3) from the surface of one body with the box `low` to `high`, negative inside."""
+    found = scene.compute_distance(points).numpy().astype(np.float64)
+    inside = np.asarray(((points > low) & (points < high)).all(axis=1))  # who is outside the box is outside the body
+    if inside.any():
+        inside[inside] = scene.compute_occupancy(points[inside], nsamples=3).numpy() > 0.5
+    return np.asarray(np.where(inside, -found, found), dtype=np.float64)
