@@ -12,7 +12,6 @@ from lime_planner.experiments.bench_planners import add_problem_arguments, finis
 
 PEERS = ("ompl_rrt_star", "ompl_informed_rrt_star", "ompl_bit_star", "ompl_rrt_connect")
 SEARCH_PLANTS = ("medium:901", "dense:902", "dense:903")  # never among those that are compared
-CHECK_MARKS = (3_000, 10_000, 30_000, 100_000, 300_000, 1_000_000)
 
 _EPILOG = """\
 Every peer gets the same space, start, goals and cost, and our compiled checks.
@@ -54,7 +53,7 @@ def table_text(results: dict[str, Any]) -> str:
         report.ratio_table(results, marks),
         report.paired_table(results, marks),
         "## Equal numbers of checked configurations",
-        report.cost_table(results, CHECK_MARKS, report.CHECKS, "checks"),
+        report.cost_table(results, report.CHECK_MARKS, report.CHECKS, "checks"),
         "## Where the time goes",
         report.effort_table(results),
     ]

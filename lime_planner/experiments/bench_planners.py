@@ -133,7 +133,7 @@ def run(args: argparse.Namespace) -> int:
         reference_s=args.reference,
         reference_seeds=args.reference_seeds,
         reference_methods=["lime_star", *peers],
-        settings=load_settings() if peers else {},
+        settings={peer: load_settings()[peer] for peer in peers},
         clock=args.clock,
         keep_paths=args.keep_paths,
     )

@@ -17,6 +17,7 @@ Key = tuple[str, int]
 
 DEFAULT = "lime_star"
 TIME, CHECKS = 0, 1  # columns of a curve
+CHECK_MARKS = (3_000, 10_000, 30_000, 100_000, 300_000, 1_000_000)
 LABELS = {
     "lime_star": "lime_star (default)",
     "apf_rrt_star": "APF-RRT* (paper)",

@@ -115,5 +115,5 @@ def simulation_figure(plan: Plan[Task], results: dict[str, Any], folder: Path) -
         axis.set_axis_off()
     path = folder / "simulation.png"
     with replacing(path) as temporary:
-        figure.savefig(temporary, dpi=130, facecolor="white", format="png")
+        figure.savefig(temporary, dpi=110, facecolor="white", format="png")
     return [path]

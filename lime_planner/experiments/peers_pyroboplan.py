@@ -49,8 +49,8 @@ class _Model:
 
 
 @contextlib.contextmanager
-def _our_checks(problem: Problem) -> Iterator[CompiledChecks]:
-    """Put stems along whole edges in place of pyroboplan's checks of single states, and keep it from printing."""
+def _our_checks(problem: Problem, now: Callable[[], float]) -> Iterator[CompiledChecks]:
+    """Put stems along whole edges in place of pyroboplan's checks of single states, and our clock in place of its own; keep it quiet."""
     from pyroboplan.planning import path_shortcutting, rrt, utils
 
     checks = CompiledChecks(problem.space()._replace(own_leaves=False), 0.0)
@@ -74,6 +74,8 @@ def _our_checks(problem: Problem) -> Iterator[CompiledChecks]:
         if hasattr(module, name):
             before.append((module, name, getattr(module, name)))
             setattr(module, name, function)
+    before.append((rrt, "time", rrt.time))
+    rrt.time = SimpleNamespace(time=now)
     try:
         with contextlib.redirect_stdout(io.StringIO()):
             yield checks
@@ -100,7 +102,7 @@ def run_pyroboplan(problem: Problem, seed: int, seconds: float, settings: Mappin
     now, model, curve = CLOCKS[clock], _Model(problem), Curve()
     wall_s, began_s = time.perf_counter(), now()
     best: tuple[float, Array | None] = (math.inf, None)
-    with _our_checks(problem) as checks:
+    with _our_checks(problem, now) as checks:
         for attempt in itertools.count():
             left_s = seconds - (now() - began_s)
             if left_s <= 0.0:

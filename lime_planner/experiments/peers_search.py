@@ -15,11 +15,11 @@ from lime_planner.experiments.problems import ProblemSpec
 
 #: Values that are tried for each setting of a peer, every combination.
 GRIDS: dict[str, dict[str, Sequence[Any]]] = {
-    "ompl_rrt_star": {"range": (0.3, 0.8, 2.0), "goal_bias": (0.05, 0.2), "k_nearest": (False, True)},
-    "ompl_informed_rrt_star": {"range": (0.3, 0.8, 2.0), "goal_bias": (0.05, 0.2), "k_nearest": (False,), "rewire_factor": (1.1, 0.5)},
-    "ompl_bit_star": {"samples_per_batch": (50, 100, 300, 1000), "use_k_nearest": (True, False), "rewire_factor": (1.1, 0.7)},
-    "ompl_rrt_connect": {"range": (0.3, 1.0, 3.0), "shorten_rounds": (2, 10), "shorten_step": (0.1, 0.4)},
-    "pyroboplan": {"max_connection_dist": (0.3, 1.0, 3.0), "shorten_iterations": (100, 400)},
+    "ompl_rrt_star": {"range": (0.3, 0.8, 2.0, 5.0), "goal_bias": (0.05, 0.2), "k_nearest": (False, True)},
+    "ompl_informed_rrt_star": {"range": (0.3, 0.8, 2.0, 5.0), "goal_bias": (0.05, 0.2), "k_nearest": (False,), "rewire_factor": (1.1, 0.5)},
+    "ompl_bit_star": {"samples_per_batch": (50, 100, 300, 1000, 3000), "use_k_nearest": (True, False), "rewire_factor": (1.1, 0.7)},
+    "ompl_rrt_connect": {"range": (0.3, 1.0, 3.0, 10.0), "shorten_rounds": (2, 10, 30), "shorten_step": (0.1, 0.4)},
+    "pyroboplan": {"max_connection_dist": (0.3, 1.0, 3.0, 10.0), "shorten_iterations": (100, 400)},
 }
 FAILURE = 100.0  # a run without a path counts as so many times the best cost
 

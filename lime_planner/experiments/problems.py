@@ -38,7 +38,7 @@ class SceneSpec:
     Attributes:
         name: in tables and keys.
         path: file of a scan, empty for a generated plant; scale and offset_m [m] apply to it.
-        density, seed: of a generated plant.
+        density, seed: of a generated plant; leaves: its number of leaves, 0 for as many as its density has.
     """
 
     name: str
@@ -47,6 +47,7 @@ class SceneSpec:
     offset_m: tuple[float, float, float] = SCAN_OFFSET_M
     density: str = "medium"
     seed: int = 0
+    leaves: int = 0
 
     @classmethod
     def scan(cls, path: Path) -> SceneSpec:
@@ -74,7 +75,7 @@ class SceneSpec:
         """Load or grow the scene."""
         if self.path:
             return load_scene(self.path, scale=self.scale, offset=self.offset_m)
-        return generate_plant(np.random.default_rng(self.seed), PlantOptions(density=self.density))
+        return generate_plant(np.random.default_rng(self.seed), PlantOptions(density=self.density, n_leaves=self.leaves or None))
 
 
 @dataclass(frozen=True)

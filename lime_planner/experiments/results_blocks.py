@@ -1,0 +1,329 @@
+"""The texts of the results page: tables and figures of speech, each made from kept results and from nothing else."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from lime_planner.experiments import comparison_report as compare
+from lime_planner.experiments import damage_report as damage
+from lime_planner.experiments import lime_report as lime
+from lime_planner.experiments import scale_report as scale
+from lime_planner.experiments.bootstrap import Estimate, median
+from lime_planner.experiments.lime_trials import ALGORITHMS, FIXED, LABELS, PAPER
+from lime_planner.experiments.wall_report import markdown_table
+
+Results = dict[str, Any]
+
+_CLOCKS = {"wall": "wall time", "cpu": "processor time of the planner's thread"}
+DENSE_POINTS, LEAF_RATIO = 25.0, 0.5  # what was asked of the default planner
+MEDIAN_RATIO, TAIL_RATIO = 1.10, 1.25
+PEER_SHARE = 90.0
+OURS_S, FIRST_MARK_S = 0.5, 0.5
+
+
+def _escaped(text: str) -> str:
+    return text.replace("*", "\\*")
+
+
+def _plants(data: Results) -> list[int]:
+    return [int(scene["seed"]) for scene in data["scenes"]]
+
+
+# The lime experiment.
+
+
+def lime_main(data: Results) -> str:
+    """Table II on the default plant."""
+    return lime.main_table(lime.cells_of(data), _plants(data)[0])
+
+
+def lime_tests(data: Results) -> str:
+    """Welch's tests on the default plant."""
+    return lime.tests_table(lime.cells_of(data), _plants(data)[0])
+
+
+def lime_ratios(data: Results) -> str:
+    """Ratios of means on the default plant and over the others, beside the paper's."""
+    cells, plants, rows = lime.cells_of(data), _plants(data), []
+    for below in ("rrt_star", "p_rrt_star"):
+        for name, words in (("cost", "node cost"), ("J", "J")):
+            first = lime.ratio(cells, plants[0], FIXED, below, name)
+            others = [lime.ratio(cells, plant, FIXED, below, name) for plant in plants[1:]]
+            mean = lime.overall(others)
+            paper = f"{PAPER['apf_rrt_star'][0] / PAPER[below][0]:.2f}" if name == "cost" else "–"
+            known = f"{sum(r is not None for r in others)} of {len(others)}"
+            rows.append([f"APF-RRT\\* / {_escaped(LABELS[below])}, {words}", _estimate(first), _estimate(mean), known, paper])
+    head = ["ratio of means (95 %)", f"plant {plants[0]}", "geometric mean of the others", "plants with a ratio", "paper"]
+    return markdown_table(head, rows)
+
+
+def _estimate(estimate: Estimate | None) -> str:
+    return "–" if estimate is None or math.isnan(estimate.value) else estimate.text()
+
+
+def lime_success(data: Results) -> str:
+    """How many trials found a path, over all plants, with the choices as fixed."""
+    cells, plants = lime.cells_of(data), _plants(data)
+    rows = []
+    for key in ALGORITHMS:
+        trials = [t for plant in plants for t in cells.get((plant, FIXED, key), [])]
+        found = [t for t in trials if t["cost"] is not None]
+        empty = sum(all(t["cost"] is None for t in cells.get((plant, FIXED, key), [])) for plant in plants)
+        share = f"{len(found)} of {len(trials)} ({100 * len(found) / len(trials):.0f} %)"
+        rows.append([_escaped(LABELS[key]), share, f"{empty} of {len(plants)}", str(lime.blocked(trials))])
+    return markdown_table(["planner", "trials with a path", "plants without any", "paths with an edge through a stem"], rows)
+
+
+def lime_plants(data: Results) -> str:
+    """The further plants."""
+    return lime.plants_table(lime.cells_of(data), _plants(data)[1:])
+
+
+def lime_sensitivity(data: Results) -> str:
+    """Changed choices."""
+    return lime.sensitivity_table(lime.cells_of(data), _plants(data)[1:])
+
+
+def lime_floor(data: Results) -> str:
+    """How low the node cost gets at all: the cheapest of all trials of a plant, whatever planner and choice it had."""
+    cells, rows, shares = lime.cells_of(data), [], []
+    for plant in _plants(data):
+        everything = [t["cost"] for (p, _, _), trials in cells.items() if p == plant for t in trials if t["cost"] is not None]
+        means = [lime.quantity(cells.get((plant, FIXED, key), [])) for key in ("rrt_star", "apf_rrt_star")]
+        if not everything or min(map(len, means)) == 0:
+            continue
+        least, texts = min(everything), [f"{m.mean():.0f}" for m in means]
+        shares.append(least / means[0].mean())
+        rows.append([str(plant), *texts, f"{least:.0f}", f"{shares[-1]:.2f}"])
+    rows.append(["geometric mean", "", "", "", f"{float(np.exp(np.mean(np.log(shares)))):.2f}"])
+    return markdown_table(["plant", "RRT\\*, mean", "APF-RRT\\*, mean", "cheapest path of all trials", "over RRT\\*'s mean"], rows)
+
+
+def lime_checkers(data: Results, exact: Results) -> str:
+    """Both checkers side by side on the plants and with the seeds that both have, and the fast model with all its trials."""
+    plants = [plant for plant in _plants(exact) if plant in _plants(data)]
+    shared = {(t["plant"], t["algorithm"], t["trial"]) for t in exact["trials"]}
+    fast = [t for t in data["trials"] if t["variant"] == FIXED and t["plant"] in plants]
+    same = [t for t in fast if (t["plant"], t["algorithm"], t["trial"]) in shared]
+    by_exact = lime.cells_of(exact)
+    compared = [plant for plant in plants if all(len(lime.quantity(by_exact.get((plant, FIXED, key), []))) >= 5 for key in ALGORITHMS)]
+    rows = []
+    for words, trials in (("FCL", exact["trials"]), ("fast model, same seeds", same), ("fast model, all trials", fast)):
+        cells, found, means = lime.cells_of({"trials": trials}), [], []
+        for key in ALGORITHMS:
+            mine = [t for t in trials if t["algorithm"] == key]
+            found.append(f"{len(mine) - lime.failures(mine)}")
+            means.append(" / ".join(lime._mean_text(lime.quantity(cells.get((plant, FIXED, key), [])), 0) for plant in plants))
+        order = " < ".join(_escaped(LABELS[key]) for key in lime.ranking(cells, compared))
+        rows.append([words, *means, f"{' / '.join(found)} of {len(trials) // len(ALGORITHMS)}", order])
+    heads = [_escaped(LABELS[key]) for key in ALGORITHMS]
+    names = " / ".join(map(str, plants))
+    head = [f"mean node cost on plants {names}", *heads, "paths found", f"ranking on {' and '.join(map(str, compared))}"]
+    table = markdown_table(head, rows)
+    results = {(t["plant"], t["algorithm"], t["trial"]): t["cost"] is None for t in same}
+    alike = sum(results[t["plant"], t["algorithm"], t["trial"]] == (t["cost"] is None) for t in exact["trials"])
+    return f"{table}\n\nOf the {len(exact['trials'])} trials with the same seed, {alike} end alike: both find a path, or neither does."
+
+
+# Leaves really touched.
+
+
+def _plural(count: int, word: str) -> str:
+    return f"{count} {word}" + ("" if count == 1 else "s")
+
+
+def damage_heading(data: Results) -> str:
+    """What was run."""
+    options = data["options"]
+    plants = [t for t in data["trials"] if t["density"] != "scan"]
+    usable, scans = [t for t in plants if t["target"] is not None], damage.graspable(data, "scan")
+    budget = f"{options['iterations']} iterations" if options["iterations"] else f"{options['time_s']:g} s of search"
+    if options["repeatable"]:
+        budget = ", ".join(f"{damage.label(m)} {options['repeatable'][m.partition(':')[0]]:,}" for m in options["methods"])
+        budget = f"iterations of each method: {_escaped(budget)}"
+    return (
+        f"{len({t['scene'] for t in plants})} plants, {len(usable)} limes that can be grasped without touching a stem "
+        f"({len(plants) - len(usable)} of {len(plants)} cannot), {len(scans)} places in {len({t['scene'] for t in scans})} scans; {budget}."
+    )
+
+
+def damage_verdict(data: Results) -> str:
+    """What was asked, and what came out, for both leaf costs."""
+    rows = []
+    for method in ("binary", "graded"):
+        if method not in data["options"]["methods"]:
+            continue
+        solid = damage.success_difference(damage.graspable(data, "dense"), method, "solid")
+        trials = damage.graspable(data)
+        ratio = damage.median_ratio(trials, method, "ignored", "leaves")
+        success = damage.success_difference(trials, method, "ignored")
+        rows.append([damage.label(method), solid.text(0, 100.0), ratio.text(), success.text(1, 100.0)])
+    head = [
+        "method",
+        f"dense plants: success over leaves solid, points (asked: {DENSE_POINTS:.0f})",
+        f"all plants: leaves touched / leaves ignored, median (asked: {LEAF_RATIO:g})",
+        "all plants: success over leaves ignored, points (asked: 0)",
+    ]
+    return markdown_table(head, rows)
+
+
+def damage_excess(data: Results) -> str:
+    """Ratios of what planners can influence: leaves beyond those that every grasp of the lime must cut."""
+    trials = [t for t in damage.graspable(data) if damage.succeeded(t, "ignored")]
+    rows = []
+    for method in data["options"]["methods"]:
+        both = [t for t in trials if damage.succeeded(t, method)]
+        if not both:
+            continue
+        totals = [sum(damage.figure(t, m, "leaves") for t in both) for m in (method, "ignored")]
+        beyond = [sum(damage.figure(t, m, "leaves") - t["leaves_at_best_goal"] for t in both) for m in (method, "ignored")]
+        area = [sum(damage.figure(t, m, "area_cm2") for t in both) for m in (method, "ignored")]
+        fewer = sum(damage.figure(t, method, "leaves") < damage.figure(t, "ignored", "leaves") for t in both)
+        more = sum(damage.figure(t, method, "leaves") > damage.figure(t, "ignored", "leaves") for t in both)
+        cells = [f"{a / b:.2f}" if b else "–" for a, b in (totals, beyond, area)]
+        rows.append([damage.label(method), str(len(both)), *cells, f"{fewer} / {len(both) - fewer - more} / {more}"])
+    head = ["over leaves ignored", "grasps of both", "all leaves", "leaves above the least", "swept area", "fewer / equal / more leaves"]
+    return markdown_table(head, rows)
+
+
+def damage_failures(data: Results) -> str:
+    """Every grasp on which a method failed that touches leaves at a cost, or for nothing."""
+    methods = [m for m in data["options"]["methods"] if m.partition(":")[0] in ("ignored", "binary", "graded")]
+    return "\n".join(f"- {line}" for line in damage.failures(data, methods)) or "None."
+
+
+# Comparisons of planners.
+
+
+def comparison_heading(data: Results) -> str:
+    """What was compared, on what."""
+    budget = compare.budget_of(data)
+    seeds = {t["seed"] for t in data["trials"] if t["seconds"] == budget}
+    machine = data["machine"]
+    longer = sorted({t["seconds"] for t in data["trials"] if t["seconds"] != budget})
+    text = f"{_plural(len(data['problems']), 'problem')}, {_plural(len(seeds), 'seed')}, {_CLOCKS[data['options']['clock']]} on one core"
+    text += f" of: {machine['processor']}, {machine['cores']} cores, load {machine['load'][0]:g} at the start."
+    if longer:
+        runs = {m: sum(t["seconds"] in longer for t in data["trials"] if t["method"] == m) for m in {t["method"] for t in data["trials"]}}
+        words = ", ".join(f"{n} of {compare.LABELS.get(m, m)}" for m, n in sorted(runs.items()) if n)
+        text += f" Best known J: of all these runs and of runs of {longer[-1]:g} s ({_escaped(words)})."
+    return text
+
+
+def planners_verdict(data: Results) -> str:
+    """The default planner beside what was asked of it."""
+    marks = data["options"]["marks_s"]
+    rows = []
+    for mark in marks:
+        ours = median(np.array(list(compare.costs_at(data, compare.DEFAULT, mark).values())))
+        theirs = median(np.array(list(compare.costs_at(data, "apf_rrt_star", mark).values())))
+        ratios = np.sort(list(compare.ratios_at(data, compare.DEFAULT, mark).values()))
+        cells = [f"{float(np.quantile(ratios, share, method='nearest')):.3f}" for share in (0.5, 0.9)]
+        asked = f"{MEDIAN_RATIO:.2f} / {TAIL_RATIO:.2f}" if mark == FIRST_MARK_S else "–"
+        lower = "yes" if ours < theirs else "no"
+        rows.append([f"{mark:g}", _number(ours), _number(theirs), lower, *cells, asked])
+    head = ["budget [s]", "median J, default", "median J, APF-RRT\\*", "lower", "J / best known, median", "90 %", "asked"]
+    return markdown_table(head, rows)
+
+
+def _number(value: float) -> str:
+    return "∞" if math.isinf(value) else f"{value:.1f}"
+
+
+def comparison_costs(data: Results) -> str:
+    """Median J at the marks."""
+    return _escaped(compare.cost_table(data, data["options"]["marks_s"], compare.TIME, "s"))
+
+
+def comparison_ratios(data: Results) -> str:
+    """Ratios to the best known J."""
+    return _escaped(compare.ratio_table(data, data["options"]["marks_s"]))
+
+
+def comparison_pairs(data: Results) -> str:
+    """Pairs against the default planner."""
+    return _escaped(compare.paired_table(data, data["options"]["marks_s"]))
+
+
+def comparison_effort(data: Results) -> str:
+    """Checks and callbacks."""
+    return _escaped(compare.effort_table(data))
+
+
+def peers_checks(data: Results) -> str:
+    """Median J at equal numbers of checks."""
+    return _escaped(compare.cost_table(data, compare.CHECK_MARKS, compare.CHECKS, "checks"))
+
+
+def peers_lead(data: Results) -> str:
+    """Where the default planner is ahead, and where not."""
+    return _escaped(compare.lead_text(data, OURS_S)) + f"\n\nAsked: {PEER_SHARE:.0f} % of the problems."
+
+
+def peers_settings(data: Results) -> str:
+    """The peers' settings."""
+    rows = []
+    for method in compare.methods_of(data):
+        if settings := data["options"]["settings"].get(method):
+            rows.append([_escaped(compare.LABELS.get(method, method)), ", ".join(f"{k} {v}" for k, v in sorted(settings.items()))])
+    return markdown_table(["peer", "settings"], rows)
+
+
+# How cost grows.
+
+
+def scale_heading(data: Results) -> str:
+    """On what, and which targets are missed."""
+    machine, missed = data["machine"], scale.targets_missed(data)
+    text = f"Processor time of one core of: {machine['processor']}, {machine['cores']} cores, load {machine['load'][0]:g} at the start."
+    return text + (" Missed: " + "; ".join(missed) + "." if missed else " Every limit is kept.")
+
+
+Block = tuple[tuple[str, ...], Callable[..., str]]
+
+#: Name of a block: the kept results that it is made from, and the function that makes it.
+BLOCKS: dict[str, Block] = {
+    "lime.main": (("lime",), lime_main),
+    "lime.tests": (("lime",), lime_tests),
+    "lime.ratios": (("lime",), lime_ratios),
+    "lime.success": (("lime",), lime_success),
+    "lime.plants": (("lime",), lime_plants),
+    "lime.sensitivity": (("lime",), lime_sensitivity),
+    "lime.floor": (("lime",), lime_floor),
+    "lime.checkers": (("lime", "lime-fcl"), lime_checkers),
+    "damage.heading": (("damage",), damage_heading),
+    "damage.verdict": (("damage",), damage_verdict),
+    "damage.excess": (("damage",), damage_excess),
+    "damage.scans": (("damage",), damage.scans_table),
+    "damage.scans-paired": (("damage",), partial(damage.paired_table, density="scan", other="ignored")),
+    "damage.status": (("damage",), damage.status_table),
+    "damage.failures": (("damage",), damage_failures),
+    "planners.heading": (("planners",), comparison_heading),
+    "planners.verdict": (("planners",), planners_verdict),
+    "planners.costs": (("planners",), comparison_costs),
+    "planners.ratios": (("planners",), comparison_ratios),
+    "planners.pairs": (("planners",), comparison_pairs),
+    "planners.effort": (("planners",), comparison_effort),
+    "peers.heading": (("peers",), comparison_heading),
+    "peers.lead": (("peers",), peers_lead),
+    "peers.costs": (("peers",), comparison_costs),
+    "peers.ratios": (("peers",), comparison_ratios),
+    "peers.pairs": (("peers",), comparison_pairs),
+    "peers.checks": (("peers",), peers_checks),
+    "peers.effort": (("peers",), comparison_effort),
+    "peers.settings": (("peers",), peers_settings),
+    "scale.heading": (("scale",), scale_heading),
+    "scale.points": (("scale",), scale.points_table),
+    "scale.leaves": (("scale",), partial(scale.search_table, axis="leaves", heading="leaves")),
+    "scale.joints": (("scale",), partial(scale.search_table, axis="joints", heading="joints")),
+    "scale.budget": (("scale",), scale.budget_table),
+}
+for _density, _name in ((damage.ALL, "all"), ("sparse", "sparse"), ("medium", "medium"), ("dense", "dense")):
+    BLOCKS[f"damage.{_name}"] = (("damage",), partial(damage.plants_table, density=_density))
+    for _other in ("ignored", "solid"):
+        BLOCKS[f"damage.{_name}-{_other}"] = (("damage",), partial(damage.paired_table, density=_density, other=_other))

@@ -1,0 +1,146 @@
+"""The results page: every figure in it follows from the kept files, and those that matter are derived here a second time, by hand."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from conftest import ROOT
+
+from lime_planner.cli import main
+from lime_planner.errors import SceneError
+from lime_planner.experiments.kept import FORMS, keep, name_of, read, restore, thin_curve
+from lime_planner.experiments.planner_runs import cost_at
+from lime_planner.experiments.results_page import blocks_in, filled, missing, numbers_outside
+
+DOCS = ROOT / "docs"
+PAGE = (DOCS / "results.md").read_text()
+FILES = sorted((DOCS / "results").glob("*.json"))
+
+
+def kept(name: str) -> dict[str, Any]:
+    return read(DOCS / "results" / f"{name}.json")
+
+
+def rows_of(block: str) -> list[list[str]]:
+    """The cells of a block's table, without its two head lines."""
+    lines = [line for line in blocks_in(PAGE)[block].splitlines() if line.startswith("|")]
+    return [[cell.strip() for cell in line.strip("|").split(" | ")] for line in lines[2:]]
+
+
+def test_every_block_is_what_the_kept_results_give() -> None:
+    assert len(blocks_in(PAGE)) >= 8
+    assert PAGE.count("<!-- end -->") == len(blocks_in(PAGE))
+    assert missing(PAGE, DOCS / "results") == {}
+
+
+def test_numbers_in_the_prose_are_settings_not_findings() -> None:
+    assert sorted(set(numbers_outside(PAGE)) - SETTINGS) == []
+
+
+#: Numbers of the paper, of the commands and of what was asked.
+SETTINGS = {"0.1", "1", "2", "6", "20", "100", "1,500", "1000"}
+
+
+def test_files_are_small_and_used() -> None:
+    assert sum(path.stat().st_size for path in FILES) < 2_000_000
+    assert {path.stem.split("-")[0] for path in FILES} == {name.split(".")[0] for name in blocks_in(PAGE)}
+    for path in FILES:
+        assert json.loads(path.read_text())["complete"] is True, path
+    named = set(re.findall(r"figures/(results-[a-z-]+\.(?:png|svg))", PAGE))
+    assert named == {path.name for path in (DOCS / "figures").glob("results-*")}
+    for name in named:
+        assert 5_000 < (DOCS / "figures" / name).stat().st_size < 300_000, name
+
+
+def test_lime_ratios_by_hand() -> None:
+    trials = kept("lime")["trials"]
+    first = min(t["plant"] for t in trials)
+    means: dict[tuple[int, str], float] = {}
+    counts: dict[str, int] = {}
+    for plant in sorted({t["plant"] for t in trials}):
+        for algorithm in ("rrt_star", "apf_rrt_star", "p_rrt_star"):
+            mine = [t for t in trials if (t["plant"], t["variant"], t["algorithm"]) == (plant, "as fixed", algorithm)]
+            assert len(mine) == 100
+            costs = [t["cost"] for t in mine if t["cost"] is not None]
+            counts[algorithm] = counts.get(algorithm, 0) + len(costs)
+            if len(costs) >= 5:
+                means[plant, algorithm] = float(np.mean(costs))
+    for below, row in zip(("rrt_star", "p_rrt_star"), rows_of("lime.ratios")[::2], strict=True):
+        assert row[1].split()[0] == f"{means[first, 'apf_rrt_star'] / means[first, below]:.2f}"
+        others = [p for p in {p for p, _ in means} - {first} if {(p, "apf_rrt_star"), (p, below)} <= means.keys()]
+        logs = [math.log(means[p, "apf_rrt_star"] / means[p, below]) for p in others]
+        assert row[2].split()[0] == f"{math.exp(np.mean(logs)):.2f}"
+        assert row[3] == f"{len(others)} of 10"
+    assert [row[1].split()[0] for row in rows_of("lime.success")] == [str(n) for n in counts.values()]
+
+
+def curve() -> list[list[float]]:
+    rng = np.random.default_rng(0)
+    times, costs = np.sort(rng.uniform(0.001, 5.0, 300)), np.sort(rng.uniform(1.0, 50.0, 300))[::-1]
+    return [[float(t), int(1e5 * t), float(c)] for t, c in zip(times, costs, strict=True)]
+
+
+def test_a_thinned_curve_reads_the_same_at_its_marks() -> None:
+    full = curve()
+    thin = thin_curve(full, times=(0.3, 0.5), checks=(777, 12_345))
+    assert len(thin) < 120 and thin == thin_curve(thin, (0.3, 0.5), (777, 12_345))
+    for column, marks in ((0, (0.3, 0.5, 1.0, 9.0)), (1, (777, 12_345, 1e6))):
+        for mark in marks:
+            assert cost_at(thin, mark, column) == pytest.approx(cost_at(full, mark, column), rel=1e-6)
+    assert thin_curve([]) == []
+
+
+def small_lime() -> dict[str, Any]:
+    trial = {"plant": 0, "variant": "as fixed", "algorithm": "rrt_star", "seed": 3, "time_s": 0.1}
+    found = {"cost": 312.5, "J": None, "length": 12.5, "nodes_inside": 3, "stored_cost": 1.0, "nodes": 9}
+    options = {"checker": "fast", "iterations": 10, "seed": 0, "robot": "any"}
+    scenes = [{"seed": 0, "pose": [0.0] * 7, "leaves": [2], "goals": 1}]
+    trials = [{**trial, "trial": 0, **found}, {**trial, "trial": 1, "cost": None}]
+    return {"experiment": "lime", "version": "1", "options": options, "scenes": scenes, "complete": True, "trials": trials}
+
+
+def test_what_is_kept_comes_back() -> None:
+    back = restore(json.loads(json.dumps(keep(small_lime()))))
+    assert [t["cost"] for t in back["trials"]] == [312.5, None]
+    assert back["trials"][0]["nodes_inside"] == 3 and back["trials"][0]["J"] is None
+    method = {"status": "SUCCEEDED", "planning_cpu_s": 0.9, "leaves": [4, 7], "area_cm2": 3.5, "duration_s": 8.0, "leaves_at_goal": 1}
+    method |= {"path_length_rad": 3.0, "leaf_contact_rad": 0.2, "tool_leaf_contact_m": None, "iterations": 5}
+    trial = {"scene": "dense-0", "density": "dense", "number": 0, "target": 2, "leaves_at_best_goal": 1, "pose": [], "goals": 3}
+    failed = {"status": "NO_PATH", "planning_cpu_s": 0.5, "sentence": "none"}
+    both = {"experiment": "damage", "options": {}, "trials": [trial | {"methods": {"binary": method, "solid": failed}}], "complete": True}
+    back = restore(json.loads(json.dumps(keep(both))))
+    assert len(back["trials"][0]["methods"]["binary"]["leaves"]) == 2
+    assert back["trials"][0]["methods"]["binary"]["tool_leaf_contact_m"] is None
+    assert back["trials"][0]["methods"]["solid"] == {"status": "NO_PATH", "planning_cpu_s": 0.5}
+    with pytest.raises(SceneError, match="'wall' are not kept"):
+        keep({"experiment": "wall"})
+    assert {name_of({"experiment": name, "options": {"checker": "fast"}}) for name in FORMS} >= {"lime", "damage", "peers"}
+
+
+def test_the_command_keeps_runs_and_writes_the_page(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    run, docs = tmp_path / "run", tmp_path / "docs"
+    run.mkdir()
+    docs.mkdir()
+    (run / "results.json").write_text(json.dumps(small_lime()))
+    (run / "simulation.png").write_bytes(b"picture")
+    page = docs / "results.md"
+    page.write_text("# Page\n\n<!-- lime.success -->\nold\n<!-- end -->\n\nEnd.\n")
+    assert main(["experiment", "report", str(run), "--docs", str(docs)]) == 0
+    assert (docs / "figures" / "results-lime.png").read_bytes() == b"picture"
+    assert "| RRT\\* | 1 of 2 (50 %) |" in page.read_text() and page.read_text().endswith("\n\nEnd.\n")
+    assert main(["experiment", "report", "--docs", str(docs), "--check"]) == 0
+    page.write_text(page.read_text().replace("1 of 2", "2 of 2"))
+    capsys.readouterr()
+    assert main(["experiment", "report", "--docs", str(docs), "--check"]) == 1
+    assert "block lime.success differs" in capsys.readouterr().out
+    (run / "results.json").write_text(json.dumps(small_lime() | {"complete": False}))
+    assert main(["experiment", "report", str(run), "--docs", str(docs)]) == 1
+    assert "--resume" in capsys.readouterr().err
+    with pytest.raises(SceneError, match="none of"):
+        filled("<!-- nonsense -->\n<!-- end -->\n", docs)
