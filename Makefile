@@ -42,6 +42,7 @@ lint: setup
 	$(BIN)/mypy
 
 test: lint
+	@scripts/browser.sh
 	ROS_PYTHON_CHECK_FIELDS=1 $(BIN)/python -m pytest $(PYTEST_ARGS)
 
 docs: setup

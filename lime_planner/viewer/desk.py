@@ -10,7 +10,7 @@ from collections.abc import Callable
 import numpy as np
 import numpy.typing as npt
 
-from lime_planner.errors import LimePlannerError
+from lime_planner.errors import LimePlannerError, SceneError
 from lime_planner.motion import stop as stopping
 from lime_planner.motion.trajectory import Trajectory
 from lime_planner.parameters import Settings
@@ -18,6 +18,7 @@ from lime_planner.pipeline import Pipeline, PlanResult
 from lime_planner.poses import pose_to_matrix
 from lime_planner.robot.model import Robot, home
 from lime_planner.scene.scene import Scene
+from lime_planner.scene.targets import canopy_targets, grasp_pose
 from lime_planner.status import Status
 from lime_planner.viewer.backend import Activity, Moment, Shown, Wishes, with_wishes
 
@@ -168,10 +169,10 @@ class Desk:
         with self._lock:
             self._scene, self._target, self._shown, self.title = scene, scene.target_pose, None, title
             self._message = f"{title}: {scene.n_points} points"
-            if self._robot is not None:
-                self._fit(self._robot)
             if self._target is None:
                 self._message += "; it has no target: drag the marker to where the tool is to go"
+            if self._robot is not None:
+                self._fit(self._robot)
 
     def close(self) -> None:
         """End the thread; a plan in work is cancelled."""
@@ -221,10 +222,12 @@ class Desk:
             self._message = Status.SUCCEEDED.message("the simulated arm has reached the end of the plan")
 
     def _fit(self, robot: Robot) -> None:
-        """Put a scene without a frame into the arm's."""
+        """Put a scene without a frame into the arm's, and give one without a target a place to drag it from."""
         assert self._scene is not None
         if not self._scene.frame_id:
             self._scene = dataclasses.replace(self._scene, frame_id=robot.planning_frame)
+        if self._target is None:
+            self._target = _place_to_begin(self._scene, robot)
 
     def _submit(self, job: Job) -> None:
         """Hand a job to the thread; it takes the place of older ones."""
@@ -290,3 +293,12 @@ class Desk:
                 return  # another one was opened meanwhile
             self._count += 1
             self._shown = Shown(self._count, scene, settings, target, result)
+
+
+def _place_to_begin(scene: Scene, robot: Robot) -> Array:
+    """Return a pose (7,) among the leaves within reach, or in front of the arm where there are none."""
+    try:
+        poses = canopy_targets(scene, np.random.default_rng(0), 20)
+    except SceneError:
+        poses = [grasp_pose((0.5 * robot.reach_m, 0.0, 0.5 * robot.reach_m), (1.0, 0.0, 0.0), 0.0)]
+    return min(poses, key=lambda pose: float(np.linalg.norm(pose[:3])))

@@ -24,14 +24,15 @@ class Player:
         self._speed = gui.add_dropdown("Speed", tuple(SPEEDS), initial_value="1 ×", hint="Of the ghost arm, against the real time")
         self._end_s = 0.0
         self._last = time.monotonic()
+        self._written = 0.0  # where the slider stands, by us or by hand: what a hand has just done must not be undone
         self.playing = False
         self.t_s = 0.0
 
         @self._slider.on_update
-        def _(event: Any) -> None:
+        async def _(event: Any) -> None:
             if event.client is not None:  # a hand, not ourselves
                 self.playing = False
-                self.t_s = float(self._slider.value)
+                self.t_s = self._written = float(self._slider.value)
 
         @self._button.on_click
         def _(_event: Any) -> None:
@@ -54,7 +55,7 @@ class Player:
         self._slider.label = f"Time [{unit}]" if unit == "s" else f"Along the path [{unit}]"
         self._slider.max = max(end_s, 0.01)
         self._slider.disabled = self._button.disabled = end_s <= 0.0
-        self._slider.value = 0.0
+        self._slider.value = self._written = 0.0
 
     def follow(self, t_s: float) -> None:
         """Be at the moment at which a motion is."""
@@ -70,8 +71,8 @@ class Player:
                 self.t_s, self.playing = self._end_s, False
         self._last = now
         shown = round(self.t_s, 2)
-        if abs(float(self._slider.value) - shown) > 0.005:
-            self._slider.value = shown
+        if abs(self._written - shown) > 0.005:
+            self._slider.value = self._written = shown
         label, icon = ("Pause", "player-pause") if self.playing else ("Play", "player-play")
         if self._button.label != label:
             self._button.label, self._button.icon = label, icon
