@@ -46,7 +46,7 @@ def numbers_outside(page: str) -> list[str]:
     """Numbers of a page that stand in no block, code or link, for whoever wants to know where they come from."""
     rest = _BLOCK.sub("", page)
     rest = re.sub(r"```.*?```|`[^`]*`|\]\([^)]*\)", "", rest, flags=re.DOTALL)
-    return re.findall(r"(?<![\w.])\d[\d,]*(?:\.\d+)?", rest)
+    return re.findall(r"(?<![\w.])\d+(?:,\d{3})*(?:\.\d+)?", rest)
 
 
 def missing(page: str, folder: Path) -> Mapping[str, str]:
