@@ -176,7 +176,7 @@ class Steps:
         self.new_target()
         newer = self.ask("plan")
         if self.answer(older) == "PREEMPTED":
-            self.waits["preempted"].append(older.ended - newer.began)
+            self.waits["preempted"].append(getattr(older, "ended", time.monotonic()) - newer.began)
         self.answer(newer)
 
     def stop(self) -> None:
