@@ -11,11 +11,13 @@ import pytest
 from nav_msgs.srv import GetPlan
 from ros_harness import Bench, Program, program
 from trajectory_msgs.msg import JointTrajectory
+from visualization_msgs.msg import MarkerArray
 
 from lime_planner.motion.contract import violations
 from lime_planner.motion.trajectory import Trajectory
 from lime_planner.poses import matrix_to_pose, pose_to_matrix
 from lime_planner.robot.model import Robot, home, load_robot
+from lime_planner.ros import qos
 from lime_planner.ros.clouds import encode_cloud
 from lime_planner.ros.convert import to_pose
 from lime_planner.scene.plant import generate_plant
@@ -104,6 +106,19 @@ class TestTheDemoGraph:
         assert_contract(robot, bench.commands[1][1], np.array(bench.commands[0][1].points[-1].positions))
         bench.wait(lambda: np.abs(bench.q - before).max() < 0.01, 40.0, "the way back")
         bench.wait(lambda: bench.statuses[-1].get("execution_code") == "SUCCEEDED", 5.0, "its end")
+
+    def test_markers_for_whoever_comes_late(self, bench: Bench, robot: Robot) -> None:
+        assert bench.call("preview").success
+        arrays: list[MarkerArray] = []
+        watching = bench.node.create_subscription(MarkerArray, "lime_planner/markers", arrays.append, qos.LATCHED)
+        bench.wait(lambda: arrays, 60.0, "markers")
+        by_name = {marker.ns: marker for marker in arrays[0].markers}
+        assert set(by_name) >= {"leaves", "stems", "target", "excluded_sphere", "tool_path", "goal_arm"}
+        hand = np.array([[point.x, point.y, point.z] for point in by_name["goal_arm"].points])
+        path = by_name["tool_path"].points
+        assert np.linalg.norm(hand - [path[-1].x, path[-1].y, path[-1].z], axis=1).min() < 0.1
+        assert ("touched_leaves" in by_name) is (float(bench.statuses[-1]["leaf_contact_rad"]) > 0.0)
+        bench.node.destroy_subscription(watching)
 
     def test_stopping_on_the_way_and_going_on_from_there(self, bench: Bench, robot: Robot) -> None:
         bench.commands.clear()

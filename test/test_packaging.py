@@ -117,7 +117,7 @@ def test_colcon_installs_where_ros_looks(installed: Path) -> None:
     assert (prefix / "share" / "ament_index" / "resource_index" / "packages" / "lime_planner").is_file()
     share = prefix / "share" / "lime_planner"
     assert (share / "package.xml").is_file()
-    for folder in ("launch", "config"):
+    for folder in ("launch", "config", "rviz", "foxglove"):
         expected = {path.relative_to(ROOT) for path in (ROOT / folder).rglob("*") if path.is_file() and "__pycache__" not in path.parts}
         assert {path.relative_to(share) for path in (share / folder).rglob("*") if path.is_file()} == expected
     [package] = prefix.glob("lib/python3.*/site-packages/lime_planner")

@@ -1,7 +1,8 @@
-"""The picture for RViz: clouds as used, tool path coloured by leaf contact, target, excluded sphere, keep-out boxes, tree."""
+"""The picture for RViz and Foxglove: clouds as used, tool path and touched leaves, arm at the goal, target, keep-outs, search tree."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -24,6 +25,25 @@ _STEM = (0.45, 0.30, 0.15, 1.0)
 _FRUIT = (0.75, 0.85, 0.10, 1.0)
 _FREE = (0.10, 0.45, 0.85, 1.0)
 _TOUCHING = (0.90, 0.25, 0.10, 1.0)
+
+
+_GOAL_ARM = (0.55, 0.60, 0.70, 0.45)
+_TREE = (0.5, 0.5, 0.5, 0.4)
+
+
+@dataclass(frozen=True, eq=False)
+class Extras:
+    """What has to be computed for the picture alone.
+
+    Attributes:
+        goal_arm: (T, 3, 3) triangles of the arm at the path's end [m].
+        touched: (P, 3) leaf points that the arm touches on its way [m].
+        tree: (E, 2, 3) tool positions at both ends of the search tree's edges [m].
+    """
+
+    goal_arm: npt.NDArray[np.floating] = field(default_factory=lambda: np.empty((0, 3, 3)))
+    touched: npt.NDArray[np.floating] = field(default_factory=lambda: np.empty((0, 3)))
+    tree: npt.NDArray[np.floating] = field(default_factory=lambda: np.empty((0, 2, 3)))
 
 
 def _colour(rgba: tuple[float, float, float, float]) -> ColorRGBA:
@@ -54,11 +74,18 @@ class _Picture:
         self.array.markers.append(marker)
         return marker
 
-    def cloud(self, namespace: str, points: npt.NDArray[np.float32], rgba: tuple[float, float, float, float]) -> None:
+    def cloud(
+        self, namespace: str, points: npt.NDArray[np.floating], rgba: tuple[float, float, float, float], size_m: float = 0.004
+    ) -> None:
         """Add points, thinned evenly to what can be shown."""
         if len(points):
             step = -(-len(points) // _SHOWN)
-            self._marker(namespace, Marker.POINTS, (0.004, 0.004, 0.0), rgba).points = _points(points[::step])
+            self._marker(namespace, Marker.POINTS, (size_m, size_m, 0.0), rgba).points = _points(points[::step])
+
+    def body(self, namespace: str, triangles: npt.NDArray[np.floating], rgba: tuple[float, float, float, float]) -> None:
+        """Add a surface of triangles (T, 3, 3)."""
+        if len(triangles):
+            self._marker(namespace, Marker.TRIANGLE_LIST, (1.0, 1.0, 1.0), rgba).points = _points(triangles)
 
     def path(self, tool_path: npt.NDArray[np.float64], tool_leaf: npt.NDArray[np.float64]) -> None:
         """Add the tool's line, touching parts in another colour."""
@@ -71,11 +98,11 @@ class _Picture:
         touching[: len(known)] = known > 0.0
         marker.colors = [_colour(_TOUCHING if leaf else _FREE) for leaf in touching]
 
-    def tree(self, edges: npt.NDArray[np.float64]) -> None:
+    def tree(self, edges: npt.NDArray[np.floating]) -> None:
         """Add the search tree as tool positions of its edges, (E, 2, 3)."""
         if len(edges):
             step = -(-len(edges) // (_SHOWN // 2))
-            self._marker("tree", Marker.LINE_LIST, (0.001, 0.0, 0.0), (0.5, 0.5, 0.5, 0.4)).points = _points(edges[::step].reshape(-1, 3))
+            self._marker("tree", Marker.LINE_LIST, (0.001, 0.0, 0.0), _TREE).points = _points(edges[::step].reshape(-1, 3))
 
     def target(self, T_base_tool: npt.NDArray[np.float64], radius_m: float) -> None:
         """Add the approach direction (the tool's +z) and the excluded sphere."""
@@ -96,7 +123,14 @@ class _Picture:
             marker.pose.position.x, marker.pose.position.y, marker.pose.position.z = (float(v) for v in middle)
 
 
-def markers(scene: Scene, T_base_tool: npt.NDArray[np.float64] | None, result: Any, settings: Settings, stamp: Time) -> MarkerArray:
+def markers(
+    scene: Scene,
+    T_base_tool: npt.NDArray[np.float64] | None,
+    result: Any,
+    settings: Settings,
+    stamp: Time,
+    extras: Extras | None = None,
+) -> MarkerArray:
     """Draw one plan.
 
     Args:
@@ -105,7 +139,9 @@ def markers(scene: Scene, T_base_tool: npt.NDArray[np.float64] | None, result: A
         result: the pipeline's result.
         settings: the plan's parameters.
         stamp: now.
+        extras: what was computed for the picture alone.
     """
+    extras = extras or Extras()
     picture = _Picture(scene.frame_id, stamp)
     picture.cloud("leaves", scene.leaf_points, _LEAF)
     picture.cloud("stems", scene.stem_points, _STEM)
@@ -113,6 +149,8 @@ def markers(scene: Scene, T_base_tool: npt.NDArray[np.float64] | None, result: A
     picture.boxes(settings.keep_out_boxes)
     if T_base_tool is not None:
         picture.target(T_base_tool, settings.target_exclusion_radius_m)
-    picture.tree(np.asarray(getattr(result, "tree_edges", np.empty((0, 2, 3)))))
+    picture.cloud("touched_leaves", extras.touched, _TOUCHING, 0.007)
+    picture.body("goal_arm", extras.goal_arm, _GOAL_ARM)
+    picture.tree(extras.tree)
     picture.path(np.asarray(result.tool_path, dtype=np.float64).reshape(-1, 7), np.asarray(result.tool_leaf, dtype=np.float64))
     return picture.array

@@ -35,7 +35,7 @@ from lime_planner.ros.engine import FROM_TOPIC, Builder, Engine, Loaded, build
 from lime_planner.ros.execution import Ended, Execution
 from lime_planner.ros.frames import make_frames
 from lime_planner.ros.inputs import CLOUDS, Inputs
-from lime_planner.ros.markers import markers
+from lime_planner.ros.marker_desk import MarkerDesk
 from lime_planner.ros.params import NodeParameters, Snapshot
 from lime_planner.ros.requests import Requests, Shown
 from lime_planner.ros.runner import run_node
@@ -109,6 +109,7 @@ class PlannerNode(Node):
             self._show,
             lambda: self.watch.notice(),
         )
+        self.markers = MarkerDesk(self._markers, lambda: self.engine.loaded, lambda: self.worker.current is not None, self._now, self._warn)
         self.params.on_change = self._on_parameters
         self.watch = StemWatch(self.execution, make_look(lambda: self.source, lambda: self.engine.loaded), self._warn)
         self._open_inputs(settings.plan.robot)
@@ -127,7 +128,7 @@ class PlannerNode(Node):
             self._command.wait_for_all_acked(Duration(seconds=0.2))
         if self.viewer is not None:
             self.viewer.page.close()
-        ended = [self.worker.close(), self.watch.close(), self.engine.close(0.5)]
+        ended = [self.worker.close(), self.watch.close(), self.markers.close(), self.engine.close(0.5)]
         self.desk.drain(0.5)
         self.threads_ended = all(ended)
 
@@ -196,12 +197,12 @@ class PlannerNode(Node):
             self.viewer.backend.on_shown(shown)
         stamp = self._now()
         self._tool_path.publish(to_path(shown.result.tool_path, shown.scene.frame_id, stamp))
-        if self._markers.get_subscription_count() > 0:
-            self._markers.publish(markers(shown.scene, shown.T_base_tool, shown.result, shown.snapshot.plan, stamp))
+        self.markers.show(shown)
 
     def _check_offers(self) -> None:
         for subscription in self._subscriptions_by_offer:
             subscription.check()
+        self.markers.check()
 
     def _publish_health(self) -> None:
         ticket, motion = self.worker.current, self.execution.motion
