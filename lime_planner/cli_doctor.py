@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import importlib.util
+import textwrap
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
@@ -22,6 +23,9 @@ GROUPS = {
     "dds": "ROS 2 and DDS",
     "live": "what is heard",
 }
+
+_CHECK_WIDTH = 20
+_MARGIN = " " * (8 + _CHECK_WIDTH)
 
 _EPILOG = """\
 Each check is one line: ok, warning (works, but worse than it could) or fault,
@@ -211,7 +215,7 @@ def _report(args: argparse.Namespace, found: dict[str, list[Finding]], well: boo
 
 
 def _print(found: dict[str, list[Finding]]) -> None:
-    """Print a table on a terminal; elsewhere one line for each check, for grep."""
+    """Print columns on a terminal; elsewhere one line for each check, for grep."""
     from lime_planner.viewer.tables import console
 
     out = console()
@@ -221,19 +225,20 @@ def _print(found: dict[str, list[Finding]]) -> None:
                 cure = f" -> {finding.cure}" if finding.cure else ""
                 print(f"{finding.level.value:<8} {finding.check}: {finding.sentence}{cure}")
         return
-    from rich.table import Table
     from rich.text import Text
 
     styles = {"ok": "green", "warning": "yellow", "fault": "bold red"}
     for group, findings in found.items():
-        table = Table(title=GROUPS[group], title_justify="left", title_style="bold", show_header=False, box=None, pad_edge=False)
-        table.add_column(width=7)
-        table.add_column(width=18, overflow="fold")
-        table.add_column(overflow="fold")
+        out.print(Text(GROUPS[group], style="bold"))
         for finding in findings:
-            text = Text(finding.sentence)
-            if finding.cure:
-                text.append(f"\n→ {finding.cure}", style="italic")
-            table.add_row(Text(finding.level.value, style=styles[finding.level.value]), finding.check, text)
-        out.print(table)
+            level, *lines = finding.level.value, *_wrapped(finding.sentence)
+            head = Text(f"{level:<8}", style=styles[level]).append(f"{finding.check:<{_CHECK_WIDTH}}", style="default")
+            out.print(head.append(f"\n{_MARGIN}".join(lines), style="default"), soft_wrap=True)
+            for line in _wrapped(f"→ {finding.cure}") if finding.cure else ():
+                out.print(Text(_MARGIN + line, style="italic"), soft_wrap=True)
         out.print()
+
+
+def _wrapped(text: str) -> list[str]:
+    # Long words stay whole: they are paths, and commands to be copied.
+    return textwrap.wrap(text, 80 - len(_MARGIN), break_long_words=False, break_on_hyphens=False)

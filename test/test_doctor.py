@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from pathlib import Path
 
 import pytest
@@ -9,6 +10,7 @@ from doctor_helpers import Doctor, assert_named, doctor_fixture, surroundings  #
 
 from lime_planner import cli
 from lime_planner.doctor.libraries import probe
+from lime_planner.doctor.machine import shipped_profile
 from lime_planner.parameter_file import read_parameter_file
 from lime_planner.ros.round_trip import measure
 
@@ -32,6 +34,24 @@ def test_a_healthy_installation(capsys: pytest.CaptureFixture[str]) -> None:
         "DDS: two",
     ):
         assert name in out, out
+
+
+def test_columns_on_a_terminal(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    from rich.console import Console
+
+    from lime_planner.viewer import tables
+
+    shown = io.StringIO()
+    monkeypatch.setattr(tables, "console", lambda *, error=False: Console(file=shown, force_terminal=True, color_system=None, width=80))
+    monkeypatch.setenv("FASTRTPS_DEFAULT_PROFILES_FILE", "nowhere.xml")
+    assert cli.main(["doctor", "--only", "machine,dds"]) == 1
+    lines = shown.getvalue().splitlines()
+    assert any(line.startswith("ok      python              3.1") for line in lines)
+    assert any(line.startswith("fault   cloud profile       FASTRTPS_DEFAULT_PROFILES_FILE names nowhere.xml:") for line in lines)
+    path = str(shipped_profile())
+    assert any(path in line for line in lines)  # to be copied: not torn apart
+    assert all(len(line) <= 80 for line in lines if path not in line)
+    assert "1 faults, " in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
