@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -50,5 +51,10 @@ def on_files(files: Files, config: Any) -> Files:
 
 
 def on_page_markdown(markdown: str, page: Any, config: Any, files: Files) -> str:
-    """Fill in the generated parts."""
-    return reference.fill(markdown)
+    """Fill in the generated parts; a link to a folder, good where the sources are browsed, becomes its name."""
+    here = Path(config["docs_dir"], page.file.src_uri).parent
+
+    def name_of_folder(match: re.Match[str]) -> str:
+        return f"`{match[1]}`" if (here / match[2]).is_dir() else match[0]
+
+    return reference.fill(re.sub(r"(?<!!)\[([^\]]+)\]\(([\w./-]+)\)", name_of_folder, markdown))

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import argparse
 import re
+import xml.etree.ElementTree as ET
 from pathlib import Path
 
 from lime_planner import cli
 from lime_planner.parameters import NODE_PARAMETERS, PARAMETERS, Parameter
 from lime_planner.status import Status
+
+POLICY = Path(__file__).resolve().parents[2] / "config" / "sros2_policy.xml"
 
 #: What to do about each outcome, where there is something to be done.
 CURES = {
@@ -107,23 +110,26 @@ def reach() -> str:
     return "![A Kinova arm reaches a lime inside a plant; the tool's path is blue where it is free and orange where the arm touches leaves](demo.png)"
 
 
-def security_files() -> str:
-    """Return what to do with the permissions that the package brings, if it brings them."""
-    found = sorted(
-        path.name
-        for path in (Path(__file__).resolve().parents[2] / "config").rglob("*.xml")
-        if "permission" in path.name or "polic" in path.name
-    )
-    if not found:
-        return "The enclave's permissions allow everything at first; cut them down to the table below, in `permissions.xml` of the enclave, and sign it again."
-    names = ", ".join(f"`config/{name}`" for name in found)
-    return f"The package brings the permissions, cut down to the table below: {names}. How to sign them stands at the head of the file."
+def security_rights() -> str:
+    """Return what the SROS2 policy of the package allows the planner, and nothing else does."""
+    profile = ET.parse(POLICY).getroot().find("./enclaves/enclave/profiles/profile")
+    assert profile is not None
+    lines = ["| may | names |", "|---|---|"]
+    for words, kind, way in (
+        ("publish", "topics", "publish"),
+        ("subscribe to", "topics", "subscribe"),
+        ("serve", "services", "reply"),
+        ("call", "services", "request"),
+    ):
+        names = [f"`{(element.text or '').strip()}`" for group in profile.findall(kind) if group.get(way) == "ALLOW" for element in group]
+        lines.append(f"| {words} | {', '.join(names) or 'nothing'} |")
+    return "\n".join(lines)
 
 
 #: What stands in a page as `{{ name }}`, alone on its line.
 PARTS = {
     "reach": reach,
-    "security_files": security_files,
+    "security_rights": security_rights,
     "planning_parameters": planning_parameters,
     "node_parameters": node_parameters,
     "statuses": statuses,
