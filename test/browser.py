@@ -47,6 +47,7 @@ class Tab:
         self.complaints: list[str] = []
         self.context = browser.new_context(viewport=SIZE)  # type: ignore[arg-type]
         self.page: Page = self.context.new_page()
+        self.page.set_default_timeout(60_000.0)  # drawing by software takes its time on a machine that is busy
         self.page.on("console", self._on_console)
         self.page.on("pageerror", lambda error: self.complaints.append(str(error)))
         self.page.goto(url)

@@ -60,7 +60,8 @@ def planned(tab: Tab, desk: Desk, served: Page) -> Tab:
     """The page with a plan, its ghost arm at rest."""
     if desk.moment().shown is None or desk.moment().blocked_motion:
         tab.press("Plan")
-    until(lambda: served._shown is not None and served._shown is desk.moment().shown, "the plan to be drawn")
+        until(lambda: not desk.moment().blocked_motion and served._shown is desk.moment().shown, "the plan to be drawn")
+        until(lambda: served._player.playing, "the ghost arm to start by itself")
     served._player.playing = False
     return tab
 

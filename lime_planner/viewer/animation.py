@@ -29,6 +29,7 @@ _CAPTION_PIXELS = 44
 _LEAF_OVER_ARM = 0.5
 _TOUCHED_BEFORE = (0.96, 0.72, 0.48)
 _HELD_S = (0.5, 1.2)  # first and last picture
+_COMMON_COLOURS = 84
 _FINER = 0.004  # spacing of the points that the path is drawn with [m]
 
 Float64 = npt.NDArray[np.float64]
@@ -87,7 +88,7 @@ class _Stage:
         self._robot, self._insight, self._scene = robot, insight, shown.scene
         seen = in_sight(shown.scene, robot)
         arms = [arm_mesh(robot, q)[0] for q in insight.configurations[:: max(1, len(insight.configurations) // 8)]]
-        self._view = _view([*seen.values(), *arms], insight.tool[-1], width)
+        self._view = _view([*seen.values(), *arms], insight.tool[-1], shown.scene.leaf_points[insight.leaf_points], width)
         self._planner = shown.result.planner
         self._plant = [
             leaf_layer(self._view, seen["leaf"], shown.scene),
@@ -141,10 +142,15 @@ class _Stage:
         return np.asarray(canvas)
 
 
-def _view(clouds: list[npt.NDArray[Any]], goal: Float64, width: int) -> View:
-    """Choose a camera: beside the way from the base to the goal, a little above it, with everything in sight."""
-    heading = float(np.arctan2(goal[1], goal[0])) - _BESIDE_RAD
-    back = np.array([np.cos(heading), np.sin(heading), 0.0])  # from the plant towards the eye, seen from above
+def _view(clouds: list[npt.NDArray[Any]], goal: Float64, touched: npt.NDArray[np.float32], width: int) -> View:
+    """Choose a camera: beside the way from the base to the goal, a little above it, with everything in sight.
+
+    Of both sides the one is taken from which what is touched lies before the hand, not behind it.
+    """
+    ahead = float(np.arctan2(goal[1], goal[0]))
+    sides = [np.array([np.cos(ahead + turn), np.sin(ahead + turn), 0.0]) for turn in (-_BESIDE_RAD, _BESIDE_RAD)]
+    offset = touched.mean(axis=0) - goal if len(touched) else np.zeros(3)
+    back = max(sides, key=lambda side: float(side @ offset))  # from the plant towards the eye, seen from above
     right = np.cross(np.array([0.0, 0.0, 1.0]), back)
     up = np.cos(_ELEVATION_RAD) * np.array([0.0, 0.0, 1.0]) - np.sin(_ELEVATION_RAD) * back
     flat = np.concatenate([np.asarray(cloud, dtype=np.float64) for cloud in clouds if len(cloud)]) @ np.stack([right, up]).T
@@ -188,9 +194,13 @@ def _held(pictures: list[Picture], held: list[int]) -> Iterator[Picture]:
 def _write_gif(path: Path, pictures: list[Picture], held: list[int], fps: float) -> None:
     from PIL import Image
 
-    # One palette for all, taken from pictures that show all colours: nothing flickers, and the file stays small.
-    sample = np.concatenate([pictures[0], pictures[len(pictures) // 2], pictures[-1]])
-    palette = Image.fromarray(sample).quantize(96, method=Image.Quantize.MEDIANCUT)
+    # One palette for all, so that nothing flickers: common colours, and those that mean something however rare they are.
+    sample = Image.fromarray(np.concatenate([pictures[0], pictures[len(pictures) // 2], pictures[-1]]))
+    common = (sample.quantize(_COMMON_COLOURS, method=Image.Quantize.MEDIANCUT).getpalette() or [])[: 3 * _COMMON_COLOURS]
+    colours = np.array([LEAFY_PATH, _TOUCHED_BEFORE, FREE_PATH, LIME])
+    meaning = np.round(255 * colours[:, None] * np.array([1.0, 0.8, 0.6])[:, None]).astype(int).ravel().tolist()
+    palette = Image.new("P", (1, 1))
+    palette.putpalette([*common, *meaning])
     frames = [Image.fromarray(picture).quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures]
     step_ms = round(1000.0 / fps / 10.0) * 10  # GIF counts in hundredths of a second
     durations = [step_ms] * len(frames)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import html
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -104,7 +104,6 @@ class Controls:
                 hint="A coloured slice through the map of distances that the planner uses",
             )
             self.height = gui.add_slider("Height of the slice [m]", -0.2, 1.5, 0.01, 0.5, hint="Where the slice lies", visible=False)
-            self.note = gui.add_markdown("")
         for handle in (*self._layers.values(), self.field, self.height):
             handle.on_update(commands.changed)
 
@@ -125,13 +124,21 @@ class Controls:
         """Tell whether a layer is wanted."""
         return bool(self._layers[layer].value)
 
-    def tell(self, moment: Moment, touched: str) -> None:
-        """Put the moment into words, and grey out what cannot be done."""
+    def tell(self, moment: Moment, touched: str, notes: Sequence[str]) -> None:
+        """Put the moment into words, and grey out what cannot be done.
+
+        Args:
+            moment: what there is to see.
+            touched: which leaves are touched, in HTML.
+            notes: what is drawn otherwise than one would think.
+        """
         colour, sign = _LIGHTS[moment.activity]
         said = (
             '<div style="padding:2px 14px 6px 14px;line-height:1.35">'
             f'<div style="font-weight:600;color:{colour}"><span aria-hidden="true">{sign}</span> {moment.activity.value}</div>'
-            f'<div style="font-size:0.86em">{html.escape(in_words(moment))}</div>{figures(moment.shown, touched)}</div>'
+            f'<div style="font-size:0.86em">{html.escape(in_words(moment))}</div>{figures(moment.shown, touched)}'
+            + "".join(f'<div style="font-size:0.8em;color:#666;margin-top:3px">{html.escape(note)}</div>' for note in notes)
+            + "</div>"
         )
         if said != self._said:
             self._said = self._status.content = said

@@ -153,7 +153,8 @@ class Page:
                 self._draw_plan(moment)
             touched = self._draw_moving(moment)
         self._starting.show(moment)
-        self._controls.tell(moment, touched)
+        notes = [*(self._plant.notes if self._plant is not None else []), *self._extras.notes]
+        self._controls.tell(moment, touched, notes)
 
     def _draw_standing(self, moment: Moment) -> None:
         """Arm, plant and target, where they have changed."""
@@ -223,8 +224,4 @@ class Page:
         if self._touched is not None:
             self._touched.show(controls.shows("touched"))
         self._marker.show(controls.shows("target"))
-        notes = [*(self._plant.notes if self._plant is not None else []), *self._extras.notes]
-        text = "  \n".join(notes)
-        if controls.note.content != text:
-            controls.note.content = text
         return words
