@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 import rclpy
 import yaml
+from arm_helpers import robot_named
 from builtin_interfaces.msg import Time
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSCompatibility, QoSProfile, ReliabilityPolicy, qos_check_compatible
@@ -21,7 +22,7 @@ from ros_fakes import FakeRobot, build_fake, result
 
 from lime_planner.parameters import settings_from
 from lime_planner.robot.hulls import arm_hull
-from lime_planner.robot.model import home, load_robot
+from lime_planner.robot.model import home
 from lime_planner.ros import planner_node
 from lime_planner.ros.marker_desk import MarkerDesk
 from lime_planner.ros.markers import Extras, markers
@@ -187,7 +188,7 @@ def test_a_picture_that_fails_is_a_warning() -> None:
 
 
 def test_the_arm_as_a_hull_stands_where_the_arm_stands() -> None:
-    robot = load_robot("kinova_j2s6s200")
+    robot = robot_named()
     q = home(robot)
     triangles = arm_hull(robot, q)
     assert triangles.shape[1:] == (3, 3) and 300 < len(triangles) < 2000

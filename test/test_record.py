@@ -10,13 +10,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from arm_helpers import robot_named
 from live_robot import HOME, JOINTS, Robot
 from test_recorded import at_x, cloud, joints, pose, write
 
 from lime_planner import cli, cli_plan
 from lime_planner.poses import matrix_to_pose
-from lime_planner.robot.model import Robot as Model
-from lime_planner.robot.model import home, load_robot
+from lime_planner.robot.model import home
 from lime_planner.scene.files import load_scene, load_start
 
 DOMAIN = 62 + os.getpid() % 38
@@ -29,16 +29,11 @@ def robot() -> Iterator[Robot]:
     robot.close()
 
 
-@pytest.fixture(scope="module")
-def arm() -> Model:
-    return load_robot("kinova_j2s6s200")
-
-
 @pytest.fixture(autouse=True)
-def surroundings(monkeypatch: pytest.MonkeyPatch, arm: Model) -> None:
+def surroundings(monkeypatch: pytest.MonkeyPatch) -> None:
     """A domain of this test's own, and an arm that is loaded once."""
     load = cli_plan.load_arm
-    monkeypatch.setattr(cli_plan, "load_arm", lambda settings: load(settings) if settings.robot == "topic" else arm)
+    monkeypatch.setattr(cli_plan, "load_arm", lambda settings: load(settings) if settings.robot == "topic" else robot_named())
     monkeypatch.setenv("ROS_DOMAIN_ID", str(DOMAIN))
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
 
@@ -68,10 +63,10 @@ def test_live_topics(robot: Robot, tmp_path: Path, capsys: pytest.CaptureFixture
     assert start is not None and start.joint_names == JOINTS and start.q == pytest.approx(HOME)
 
 
-def test_what_is_not_heard(robot: Robot, arm: Model, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_is_not_heard(robot: Robot, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     robot.heal()
     robot.names = None
-    options = ["--wait", 5, "--target", "/nobodys_target", "--partial", "--json"]
+    options = ["--wait", 3.5, "--target", "/nobodys_target", "--partial", "--json"]
     assert run("record", tmp_path / "a.npz", *options) == 0
     out, errors = capsys.readouterr()
     answer = json.loads(out)
@@ -102,8 +97,9 @@ def test_wrong_requests(arguments: list[str], words: str, capsys: pytest.Capture
 
 
 @pytest.fixture(scope="module")
-def bag(tmp_path_factory: pytest.TempPathFactory, arm: Model) -> Path:
+def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A post beside the arm, a leaf; the target is where the tool already is, a little higher at 2 s."""
+    arm = robot_named()
     T_base_tool = arm.forward(home(arm))
     sent: list[tuple[float, str, Any]] = [(0.0, "/joint_states", joints(*HOME, names=JOINTS))]
     for at_s in (0.0, 2.0):
