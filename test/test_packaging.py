@@ -22,7 +22,8 @@ SCRIPTS = ("lime-planner", "mock_arm_node", "planner_node", "scene_node")
 IMPORT_NAMES = {"pin": "pinocchio", "python_fcl": "fcl", "open3d_cpu": "open3d", "pyyaml": "yaml"}
 #: In setup.py without being imported: data.
 DATA_ONLY = {"example_robot_data"}
-#: Imported, and a part of another requirement (of Numba, Pinocchio, Matplotlib, viser), or a peer that is compared with where somebody installed it.
+#: Imported, and a part of another requirement (of Numba, Pinocchio, Matplotlib, viser), or a peer that is compared with where
+#: somebody installed it.
 BROUGHT_ALONG = {"llvmlite", "coal", "PIL", "msgspec", "websockets", "pyroboplan"}
 #: Extras whose libraries the package imports.
 EXTRAS = ("experiments", "cluster", "bench", "bags", "completion", "viewer")

@@ -3,7 +3,7 @@
 A fenced block's language and title say what happens to it:
 
 - `bash`, `python` without a title: run, in the page's folder; the Python blocks of a page share their names. Commands `lime-planner`
-  that stand alone run in this process, which saves their imports, but for the first page's;
+  that stand alone run in this process, through the command's own entry, which saves their imports;
 - any language with a file's name as its title: written to that file, and checked as far as its language can be;
 - a title of `NOT_RUN`, which readers see above the block: not run, but its syntax is checked;
 - `text`: output, for the reader.
@@ -102,7 +102,7 @@ def test_page_runs_as_written(page: Path, tmp_path: Path, monkeypatch: pytest.Mo
                 ran += 1
             elif block.language == "bash":
                 assert not block.title, f"{block.where}: unknown title {block.title!r}"
-                if page.stem == "first-plan" or not run_here(block):
+                if not run_here(block):
                     run_bash(block, groups)
                 ran += 1
             else:
