@@ -6,7 +6,6 @@ import argparse
 import importlib.util
 import os
 import socket
-import tempfile
 import time
 from pathlib import Path
 
@@ -18,6 +17,7 @@ from lime_planner.viewer.access import Access
 from lime_planner.viewer.announce import DEFAULT_PORT, announce, until_signal
 from lime_planner.viewer.serving import free_port
 
+_FOLDER = Path("out")  # as the demo's
 _START_TIMEOUT_S = 60.0
 _CHECK_PERIOD_S = 0.5
 
@@ -48,16 +48,16 @@ def run_with_nodes(args: argparse.Namespace, access: Access) -> int:
     scene = scene_of(argparse.Namespace(**{**vars(args), "scene": args.what, "plant_seed": DEFAULT_SEED}))
     os.environ[TOKEN_VARIABLE] = access.token  # of the node; a parameter could be read by everybody in the ROS graph
     corner, arm = Corner.own(), {"robot": settings.robot}
-    with until_signal() as ended, tempfile.TemporaryDirectory(prefix="lime-view-") as folder, Processes(corner, Path(folder)) as nodes:
+    with until_signal() as ended, Processes(corner, _FOLDER / "logs") as nodes:
         clock.say(f"starting planner_node and mock_arm_node in ROS domain {corner.domain}, namespace {corner.namespace}")
         # A browser that draws without a graphics card takes the processor from the simulated arm now and then.
         given = {**arm, "max_joint_state_age_s": 1.0, **values, "viewer_port": port, "viewer_host": access.host}
         nodes.start("planner_node", "lime_planner.ros.planner_node", given)
         nodes.start("mock_arm_node", "lime_planner.ros.mock_arm_node", arm)
         scene = completed_scene(scene, build(settings, None), planning, clock)
-        save_scene(Path(folder) / "scene.npz", scene)
+        save_scene(_FOLDER / "scene.npz", scene)
         clock.say("starting scene_node")
-        nodes.start("scene_node", "lime_planner.ros.scene_node", {"file": str(Path(folder) / "scene.npz"), "labelled": True})
+        nodes.start("scene_node", "lime_planner.ros.scene_node", {"file": str((_FOLDER / "scene.npz").resolve()), "labelled": True})
         _wait_for_page(access.host, port, nodes)
         announce(access.url(port), access, open_browser=not args.no_browser)
         while not ended.wait(_CHECK_PERIOD_S):

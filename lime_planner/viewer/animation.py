@@ -30,6 +30,7 @@ _LEAF_OVER_ARM = 0.5
 _TOUCHED_BEFORE = (0.96, 0.72, 0.48)
 _HELD_S = (0.5, 1.2)  # first and last picture
 _COMMON_COLOURS = 84
+_IN_FRONT_M = 10.0
 _FINER = 0.004  # spacing of the points that the path is drawn with [m]
 
 Float64 = npt.NDArray[np.float64]
@@ -103,9 +104,10 @@ class _Stage:
         sample = insight.at(t_s)
         now = insight.touched[sample]
         before = insight.touched[: sample + 1].any(axis=0) & ~now
-        plant = [*self._plant, self._lit(before, _TOUCHED_BEFORE, 0.001), self._lit(now, LEAFY_PATH, 0.002)]
+        plant = [*self._plant, self._lit(before, _TOUCHED_BEFORE, 0.001)]
         vertices, triangles = arm_mesh(self._robot, insight.configuration(t_s))
-        solid = [(mesh_layer(self._view, vertices, triangles, ARM), 1.0)]
+        # What is touched is shown whatever stands before it.
+        solid = [(mesh_layer(self._view, vertices, triangles, ARM), 1.0), (self._lit(now, LEAFY_PATH, _IN_FRONT_M), 0.92)]
         for touching, colour in ((False, FREE_PATH), (True, LEAFY_PATH)):
             points = _dense(insight.tool[: sample + 1], (insight.leaf[: sample + 1] > 0.0) == touching)
             if len(points):
