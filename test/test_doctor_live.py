@@ -7,15 +7,18 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from diagnostic_msgs.msg import DiagnosticArray
 from doctor_helpers import DOMAIN, Doctor, assert_named, doctor_fixture, surroundings  # noqa: F401  (fixtures)
 from geometry_msgs.msg import PoseStamped
 from live_robot import JOINTS, Robot
+from rclpy.node import Node
 from ros_fakes import cloud
 
 from lime_planner.ros import live_checks
 from lime_planner.ros.inputs import Inputs
 from lime_planner.ros.listener import Listener
 from lime_planner.ros.params import snapshot_from
+from lime_planner.ros.status import health_message
 
 
 @pytest.fixture(scope="module")
@@ -136,6 +139,35 @@ def test_a_planted_fault_of_the_robot(
     assert_named(findings, check, *words)
     faults = [name for name, finding in findings.items() if finding["level"] == "fault"]
     assert faults == [check]
+
+
+def test_a_running_planner(robot: Robot, shared: SharedListener, monkeypatch: pytest.MonkeyPatch, doctor: Doctor) -> None:
+    """Its readiness and what it refuses; that it is silent; that there are two."""
+    monkeypatch.setattr("lime_planner.ros.listener.Listener", shared)
+    monkeypatch.setattr(live_checks, "_HEALTH_S", 0.5)
+    robot.heal()
+    planner = Node("lime_planner", context=robot.context)
+    try:
+        shared.listener.wait(lambda: len(shared.listener.planners()) == 1, 10.0)
+        _, findings = doctor("--only", "live", "--wait", 1)
+        assert_named(findings, "planner", "/lime_planner runs, but tells nothing on /diagnostics")
+        assert_named(findings, "controller", "nobody subscribes")  # where a planner runs, silence is a fault
+        values = {"engine": "ready", "motion_enabled": False, "last_status": "", "leaf_cloud.refusal": "leaf_cloud has no field 'x'"}
+        health = planner.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        shared.listener.wait(lambda: health.get_subscription_count() > 0, 10.0)
+        health.publish(health_message(planner.get_clock().now().to_msg(), "lime_planner", "fake", "", values))
+        shared.listener.wait(lambda: bool(shared.listener.health), 10.0)
+        _, findings = doctor("--only", "live", "--wait", 1)
+        words = ("/lime_planner: ready, motion is disabled, last answer none yet", "it refuses: leaf_cloud has no field 'x'")
+        assert_named(findings, "planner", *words, level="warning")
+        second = Node("lime_planner", context=robot.context)
+        shared.listener.wait(lambda: len(shared.listener.planners()) == 2, 10.0)
+        _, findings = doctor("--only", "live", "--wait", 1)
+        assert_named(findings, "planner", "2 nodes are named /lime_planner")
+        second.destroy_node()
+    finally:
+        planner.destroy_node()
+        shared.listener.health.clear()
 
 
 def test_planted_faults_of_the_graph(robot: Robot, doctor: Doctor, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
