@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 Array = npt.NDArray[np.float64]
 
-RESAMPLES = 4000
+RESAMPLES = 1000
 SEED = 20_190  # the intervals are part of the tables: the same data give the same ones
 
 

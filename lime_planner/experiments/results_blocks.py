@@ -72,6 +72,8 @@ def lime_success(data: Results) -> str:
     rows = []
     for key in ALGORITHMS:
         trials = [t for plant in plants for t in cells.get((plant, FIXED, key), [])]
+        if not trials:
+            continue
         found = [t for t in trials if t["cost"] is not None]
         empty = sum(all(t["cost"] is None for t in cells.get((plant, FIXED, key), [])) for plant in plants)
         share = f"{len(found)} of {len(trials)} ({100 * len(found) / len(trials):.0f} %)"
