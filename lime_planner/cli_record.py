@@ -16,6 +16,8 @@ if TYPE_CHECKING:
     from lime_planner.scene.files import Start
     from lime_planner.scene.scene import Scene
 
+_TOLD = ("received", "arm_not_removed")  #: counts that are not about dropped points
+
 _EPILOG = """\
 Listens like the planner node, with its parameters: the clouds are brought into
 the frame of the arm's base, and the arm's own points are removed. The file
@@ -129,8 +131,10 @@ def _report(args: argparse.Namespace, scene: Scene, start: Start | None, heard: 
         for sentence in heard:
             print(sentence)
         listed = ", ".join(f"{count} {name}" for name, count in counts.items())
-        dropped = ", ".join(f"{count} {name}" for name, count in scene.counts.items() if count and name != "received")
+        dropped = ", ".join(f"{count} {name}" for name, count in scene.counts.items() if count and name not in _TOLD)
         print(f"{args.out}: {listed} points in {scene.frame_id!r}{f' ({dropped})' if dropped else ''}")
+        if scene.counts.get("arm_not_removed"):
+            print("the arm's own points are still in it: where the arm stood when a cloud was taken is not known")
     for sentence in missing:
         print(sentence, file=sys.stderr)
     return 0

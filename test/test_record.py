@@ -123,6 +123,7 @@ def test_a_moment_of_a_recording(bag: Path, tmp_path: Path, capsys: pytest.Captu
     scene, start = load_scene(out), load_start(out)
     assert start is not None and start.q == pytest.approx(HOME)
     assert (len(scene.leaf_points), len(scene.stem_points)) == (80, 30)
+    assert "the arm's own points" not in said
     assert run("record", out, "--bag", bag, "--stem", "/stems") == 1
     assert "NO_TARGET: the recording has no grasp_target" in capsys.readouterr().err
 
