@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import os
 import re
+import shlex
 import subprocess
 import sys
 from html.parser import HTMLParser
@@ -108,10 +109,15 @@ def test_the_notebook_runs_and_is_small(tmp_path: Path, monkeypatch: pytest.Monk
 
 def test_shell_blocks_outside_the_tutorials_are_shell() -> None:
     """Those of the tutorials are run or checked by their own test."""
+    from lime_planner import cli
+
     checked = 0
     for page in (ROOT / "docs").glob("*.md"):
         for block in re.findall(r"^```bash[^\n]*\n(.*?)^```$", page.read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL):
             done = subprocess.run(["bash", "-n"], input=block, capture_output=True, text=True, check=False)
             assert done.returncode == 0, f"{page.name}: {done.stderr}"
+            for command in re.findall(r"^lime-planner (.+)$", block.replace("\\\n", " "), flags=re.MULTILINE):
+                words = shlex.split(command, comments=True)
+                assert cli.build_parser(words).parse_args(words), f"{page.name}: {command}"
             checked += 1
     assert checked
