@@ -52,10 +52,11 @@ def _value(value: object) -> str:
 def parameter_table(table: dict[str, Parameter] | tuple[Parameter, ...]) -> str:
     """Return a Markdown table of parameters."""
     rows = table.values() if isinstance(table, dict) else table
-    lines = ["| name | default | unit | range | meaning |", "|---|---|---|---|---|"]
+    lines = ["| name | default | range | meaning |", "|---|---|---|---|"]
     for p in rows:
         fixed = " Set at start only." if p.read_only else ""
-        lines.append(f"| `{p.name}` | `{_value(p.default)}` | {p.unit} | {p.range_text} | {p.description}{fixed} |")
+        span = "" if p.range_text == "any" else f"{p.range_text} {p.unit}".strip()
+        lines.append(f"| `{p.name}` | `{_value(p.default)}` {p.unit} | {span} | {p.description}{fixed} |")
     return "\n".join(lines)
 
 
