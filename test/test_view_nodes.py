@@ -83,7 +83,8 @@ def test_plan_move_and_stop(view: View) -> None:
         tab.sees("The arm moves")
         tab.press("Stop")
         tab.sees("CANCELLED")
-        tab.sees("press Plan")  # Execute stays grey: the arm is elsewhere, and the plan is used up
+        tab.sees("Ready")
+        assert tab.page.get_by_role("button", name="Execute", exact=True).is_disabled()  # the plan is used up
         assert tab.complaints == []
         tab.close()
     namespace = view.namespace

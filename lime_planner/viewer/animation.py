@@ -22,8 +22,9 @@ from lime_planner.viewer.render import Layer, View, cloud_layer, compose, halved
 
 SUFFIXES = (".gif", ".mp4")
 
-_ELEVATION_RAD = np.radians(18.0)
-_BESIDE_RAD = np.radians(62.0)  # between the line of sight and the direction from the base to the target, seen from above
+#: Cameras: above the horizon; beside the direction from the base to the target, seen from above.
+_ELEVATIONS_RAD = np.radians((18.0, 30.0))
+_BESIDE_RAD = np.radians((-62.0, 62.0, -85.0, 85.0))
 _MARGIN_M = 0.05
 _CAPTION_PIXELS = 44
 _LEAF_OVER_ARM = 0.5
@@ -89,7 +90,7 @@ class _Stage:
         self._robot, self._insight, self._scene = robot, insight, shown.scene
         seen = in_sight(shown.scene, robot)
         arms = [arm_mesh(robot, q)[0] for q in insight.configurations[:: max(1, len(insight.configurations) // 8)]]
-        self._view = _view([*seen.values(), *arms], insight.tool[-1], shown.scene.leaf_points[insight.leaf_points], width)
+        self._view = _view([*seen.values(), *arms], insight.tool[-1], _touched_corners(shown.scene, insight.leaf_points), width)
         self._planner = shown.result.planner
         self._plant = [
             leaf_layer(self._view, seen["leaf"], shown.scene),
@@ -132,7 +133,10 @@ class _Stage:
         font = ImageFont.truetype(str(Path(get_data_path()) / "fonts" / "ttf" / "DejaVuSans.ttf"), 14)
         ids = self._scene.leaf_ids
         touched = self._insight.leaf_points[now]
-        words = f"{len(np.unique(ids[touched]))} leaves" if ids is not None else ("leaves" if len(touched) else "no leaves")
+        count = len(touched) if ids is None else len(np.unique(ids[touched]))
+        words = (
+            f"{count} {'leaf point' if ids is None else 'leaf'}" if count == 1 else f"{count} {'leaf points' if ids is None else 'leaves'}"
+        )
         clock = f"{t_s:4.1f} s" if self._insight.timed else f"{t_s:4.1f} rad"
         draw.text((12, 6), f"{clock}   touching {words}", fill=(30, 30, 30), font=font)
         legend = (("tool's path, free", FREE_PATH), ("touching leaves", LEAFY_PATH), ("touched before", _TOUCHED_BEFORE))
@@ -144,17 +148,28 @@ class _Stage:
         return np.asarray(canvas)
 
 
-def _view(clouds: list[npt.NDArray[Any]], goal: Float64, touched: npt.NDArray[np.float32], width: int) -> View:
-    """Choose a camera: beside the way from the base to the goal, a little above it, with everything in sight.
+def _touched_corners(scene: Scene, points: npt.NDArray[np.int64]) -> npt.NDArray[np.float32]:
+    """Return the triangles (T, 3, 3) of the leaves that some leaf points lie on; none where leaves are not known."""
+    if scene.leaf_ids is None or scene.leaf_triangles is None or scene.leaf_triangle_ids is None:
+        return np.zeros((0, 3, 3), np.float32)
+    return scene.leaf_triangles[np.isin(scene.leaf_triangle_ids, np.unique(scene.leaf_ids[points]))]
 
-    Of both sides the one is taken from which what is touched lies before the hand, not behind it.
-    """
+
+def _view(clouds: list[npt.NDArray[Any]], goal: Float64, touched: npt.NDArray[np.float32], width: int) -> View:
+    """Choose a camera: beside the way to the goal, a little above it, where most of the touched leaves is seen; all in sight."""
     ahead = float(np.arctan2(goal[1], goal[0]))
-    sides = [np.array([np.cos(ahead + turn), np.sin(ahead + turn), 0.0]) for turn in (-_BESIDE_RAD, _BESIDE_RAD)]
-    offset = touched.mean(axis=0) - goal if len(touched) else np.zeros(3)
-    back = max(sides, key=lambda side: float(side @ offset))  # from the plant towards the eye, seen from above
-    right = np.cross(np.array([0.0, 0.0, 1.0]), back)
-    up = np.cos(_ELEVATION_RAD) * np.array([0.0, 0.0, 1.0]) - np.sin(_ELEVATION_RAD) * back
+    normals = np.cross(touched[:, 1] - touched[:, 0], touched[:, 2] - touched[:, 0])
+    best: tuple[float, Float64, Float64] | None = None
+    for elevation in _ELEVATIONS_RAD:
+        for turn in ahead + _BESIDE_RAD:
+            back = np.array([np.cos(turn), np.sin(turn), 0.0])  # from the plant towards the eye, seen from above
+            up = np.cos(elevation) * np.array([0.0, 0.0, 1.0]) - np.sin(elevation) * back
+            right = np.cross(np.array([0.0, 0.0, 1.0]), back)
+            area = float(np.abs(normals @ np.cross(right, up)).sum())
+            if best is None or area > 1.2 * best[0]:
+                best = (area, right, up)
+    assert best is not None
+    _, right, up = best
     flat = np.concatenate([np.asarray(cloud, dtype=np.float64) for cloud in clouds if len(cloud)]) @ np.stack([right, up]).T
     low, high = flat.min(axis=0) - _MARGIN_M, flat.max(axis=0) + _MARGIN_M
     return View(right, up, (low[0], high[0], low[1], high[1]), float(high[0] - low[0]) / (2 * width))
@@ -163,7 +178,7 @@ def _view(clouds: list[npt.NDArray[Any]], goal: Float64, touched: npt.NDArray[np
 def _leaves(view: View, scene: Scene, points: npt.NDArray[np.int64], colour: tuple[float, float, float], lift_m: float) -> Layer:
     """Draw whole leaves where they are known, else points, a little nearer to the eye than they are."""
     if scene.leaf_ids is not None and scene.leaf_triangles is not None and scene.leaf_triangle_ids is not None:
-        corners = scene.leaf_triangles[np.isin(scene.leaf_triangle_ids, np.unique(scene.leaf_ids[points]))].reshape(-1, 3)
+        corners = _touched_corners(scene, points).reshape(-1, 3)
         layer = mesh_layer(view, corners, np.arange(len(corners)).reshape(-1, 3), colour)
     else:
         layer = cloud_layer(view, scene.leaf_points[points], colour, (0.003, 0.006))

@@ -274,7 +274,7 @@ class Desk:
         pipeline.warm_up()
         with self._lock:
             self._ready = True
-            self._message = "press Plan" if result is None else result.message
+            self._message = result.message if result is not None else "press Plan" if self._scene is not None else "waiting for a scene"
 
     def _make_plan(self, pipeline: Pipeline, scene: Scene, target: Array, settings: Settings, stop: threading.Event) -> None:
         with self._lock:

@@ -207,7 +207,7 @@ class Page:
             self._ghost.place(insight.configuration(t_s))
             count = self._touched.light(insight.at(t_s))
             ever = self._touched.count(np.ones(len(insight.leaf_points), dtype=bool))
-            words = f"<b>{count}</b> {self._touched.unit} now, {ever} on the whole way"
+            words = f"{self._touched.unit}: <b>{count}</b> now, {ever} on the whole way"
             if abs(t_s - self._marked_s) > 0.01:
                 self._marked_s = t_s
                 self._plots.mark(t_s)
