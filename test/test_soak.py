@@ -13,10 +13,10 @@ DOMAIN = 1 + os.getpid() % 90
 @pytest.mark.parametrize(
     ("robot", "controller", "seconds"),
     [
-        ("kinova_j2s6s200", "jtc", 12.0),
+        ("kinova_j2s6s200", "jtc", 8.0),
         ("kinova_j2s6s200", "kinova", 1.0),
         ("kinova_j2n6s300", "jtc", 1.0),
-        ("kinova_j2n6s300", "kinova", 6.0),
+        ("kinova_j2n6s300", "kinova", 3.0),
     ],
 )
 def test_every_answer_and_every_command_is_as_it_must_be(robot: str, controller: str, seconds: float) -> None:
