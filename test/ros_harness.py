@@ -46,6 +46,7 @@ def environment(domain: int, **more: str) -> dict[str, str]:
         "ROS_PYTHON_CHECK_FIELDS": "1",
         "PYTHONPATH": path,
         "PYTHONUNBUFFERED": "1",
+        "PYTHONFAULTHANDLER": "1",  # `end` asks a program that hangs where it does
     }
     return {**os.environ, **own, **more}
 
@@ -96,8 +97,13 @@ class Program:
         try:
             code = self.process.wait(timeout_s)
         except subprocess.TimeoutExpired:
-            self.process.kill()
-            self.process.wait()
+            self.process.send_signal(signal.SIGABRT)
+            try:
+                self.process.wait(10.0)
+            except subprocess.TimeoutExpired:
+                self.process.kill()
+                self.process.wait()
+            self._reader.join(5.0)
             raise AssertionError(f"did not end within {timeout_s} s after signal {number}:\n{self.output}") from None
         self._reader.join(5.0)
         return code

@@ -171,15 +171,20 @@ def _read_npz(path: Path) -> Members:
         with np.load(path, allow_pickle=False) as archive:
             for name in ("points", "labels"):
                 if name not in archive.files:
-                    raise SceneError(f"{path}: has no array {name!r}; it has {', '.join(sorted(archive.files)) or 'none'}")
+                    raise SceneError(f"{path}: has no array {name!r}; it has {_one_line(', '.join(sorted(archive.files))) or 'none'}")
             for name in ("points", "labels", "frame_id", *_OPTIONAL, *_DISPLACEMENTS):
                 if name in archive.files:
                     members[name] = archive[name]
     except SceneError:
         raise
     except Exception as error:  # a damaged file makes zipfile, zlib, tokenize and NumPy raise a dozen kinds
-        raise SceneError(f"{path}: is not a readable .npz file ({type(error).__name__}: {error})") from error
+        raise SceneError(f"{path}: is not a readable .npz file ({type(error).__name__}: {_one_line(str(error))})") from error
     return members
+
+
+def _one_line(text: str) -> str:
+    """A text from a file, whatever it holds, fit for a sentence."""
+    return " ".join("".join(c if c.isprintable() else " " for c in text).split())
 
 
 def _write_npz(path: Path, scene: Scene, start: Start | None) -> None:
