@@ -90,7 +90,7 @@ class Program:
             assert time.monotonic() < deadline, f"no {text!r} within {timeout_s} s:\n{self.output}"
             time.sleep(0.01)
 
-    def end(self, number: int = signal.SIGINT, timeout_s: float = 15.0) -> int:
+    def end(self, number: int = signal.SIGINT, timeout_s: float = 30.0) -> int:
         """Send a signal and return the exit code."""
         if self.process.poll() is None:
             self.process.send_signal(number)

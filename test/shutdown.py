@@ -2,7 +2,7 @@
 
     python test/shutdown.py --times 100
 
-For SIGINT, SIGTERM and a double SIGINT each: exit code 0, no traceback, nothing left of the process, within 15 s. The moments cover
+For SIGINT, SIGTERM and a double SIGINT each: exit code 0, no traceback, nothing left of the process, within 30 s. The moments cover
 loading, compiling, idling, planning and moving: the node finds a scene, a target and an arm of its own. Exit status 0 only if all were.
 """
 

@@ -5,6 +5,7 @@ Nothing here asks the planner; a command is judged from what was on the wire and
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import time
 from collections import deque
@@ -33,7 +34,8 @@ def trajectory_of(msg: JointTrajectory) -> Trajectory:
     """A command as arrays."""
     times = [point.time_from_start.sec + 1e-9 * point.time_from_start.nanosec for point in msg.points]
     positions, velocities = (np.array([list(getattr(point, what)) for point in msg.points]) for what in ("positions", "velocities"))
-    return Trajectory.from_samples(tuple(msg.joint_names), times, positions, velocities)
+    trajectory = Trajectory.from_samples(tuple(msg.joint_names), times, positions, velocities)
+    return dataclasses.replace(trajectory, dt_s=round(trajectory.dt_s, 9))  # times are whole nanoseconds
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,7 @@ write to a pipe; a thread spins; the main thread waits at the pipe's other end a
 from __future__ import annotations
 
 import contextlib
+import faulthandler
 import os
 import signal
 import sys
@@ -25,6 +26,8 @@ from lime_planner.errors import LimePlannerError
 
 #: How long the spinning thread may take to come back from the callback it is in [s].
 JOIN_TIMEOUT_S = 5.0
+#: A process that has not ended this long after its signal says where it hangs and ends with code 1, so that it can be started anew [s].
+END_TIMEOUT_S = 20.0
 
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
@@ -102,6 +105,7 @@ def run_node(factory: Callable[[], Node], *, args: Sequence[str] | None = None, 
     os.read(reader, 1)
     for number in _SIGNALS:
         signal.signal(number, signal.SIG_IGN)
+    faulthandler.dump_traceback_later(END_TIMEOUT_S, exit=True, file=sys.__stderr__ or sys.stderr)
     try:
         shut_down = getattr(node, "shut_down", None)
         if shut_down is not None:
