@@ -103,14 +103,6 @@ def _box(text: str) -> str:
     return "```text\n" + text.rstrip() + "\n```"
 
 
-def reach() -> str:
-    """Return the picture of a reach: the animation where it has been made, else the demo's picture."""
-    docs = Path(__file__).resolve().parent.parent
-    if (docs / "figures" / "reach.gif").is_file():
-        return "![A Kinova arm slips between the leaves of a lime plant to a lime](figures/reach.gif)"
-    return "![A Kinova arm reaches a lime inside a plant; the tool's path is blue where it is free and orange where the arm touches leaves](demo.png)"
-
-
 def security_rights() -> str:
     """Return what the SROS2 policy of the package allows the planner, and nothing else does."""
     profile = ET.parse(POLICY).getroot().find("./enclaves/enclave/profiles/profile")
@@ -129,7 +121,6 @@ def security_rights() -> str:
 
 #: What stands in a page as `{{ name }}`, alone on its line.
 PARTS = {
-    "reach": reach,
     "security_rights": security_rights,
     "planning_parameters": planning_parameters,
     "node_parameters": node_parameters,
