@@ -86,7 +86,7 @@ def paired_figure(results: dict[str, Any], folder: Path) -> Path:
         ax.set(xlim=(-0.7, most + 0.7), ylim=(-0.7, most + 0.7), aspect="equal")
     axes[0].set_ylabel("leaves touched by the method")
     path = folder / "damage_pairs.png"
-    drawn.savefig(path, dpi=130)
+    drawn.savefig(path, dpi=130, bbox_inches="tight")
     return path
 
 
