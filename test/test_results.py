@@ -100,6 +100,21 @@ def test_leaves_touched_by_hand() -> None:
         assert row[3].split()[0] == f"{100 * np.mean(shares['all']):.1f}"
 
 
+def test_lead_over_peers_by_hand() -> None:
+    data = kept("peers")
+    ahead = 0
+    for problem in data["problems"]:
+
+        def cost(method: str, seconds: float, problem: str = problem) -> float:
+            runs = [t for t in data["trials"] if (t["problem"], t["method"]) == (problem, method)]
+            return float(np.median([min([p[2] for p in t["curve"] if p[0] <= seconds], default=math.inf) for t in runs]))
+
+        peers = [m for m in data["methods"] if m != "lime_star"]
+        assert len(peers) == 5
+        ahead += cost("lime_star", 0.5) < min(cost(m, 5.0) for m in peers)
+    assert f"on {ahead} of {len(data['problems'])} problems" in blocks_in(PAGE)["peers.lead"]
+
+
 def curve() -> list[list[float]]:
     rng = np.random.default_rng(0)
     times, costs = np.sort(rng.uniform(0.001, 5.0, 300)), np.sort(rng.uniform(1.0, 50.0, 300))[::-1]

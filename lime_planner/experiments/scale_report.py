@@ -182,7 +182,7 @@ def scale_figure(results: Mapping[str, Any], stem: Path) -> list[Path]:
         budget.fill_between(np.array(marks)[shown], low[shown], band[shown], color=blue, alpha=0.2, linewidth=0, label="quartiles")
         budget.set_ylim(0.98, min(3.0, 1.3 * float(np.max(mid[shown], initial=1.1))))
     budget.set(xscale="log", xlabel="budget [s]", ylabel="J / best J of any run", title="Budget")
-    plain = FuncFormatter(lambda value, _: f"{value:,g}")
+    plain = FuncFormatter(lambda value, _: f"{value:,.7g}")
     for axes in (points, leaves, joints, budget):
         if not any(len(line.get_xdata()) for line in axes.get_lines()):
             axes.set_visible(False)  # not measured
