@@ -57,10 +57,15 @@ def by_cluster(groups: Sequence[Array], statistic: Callable[[Array], float]) -> 
 
 
 def independent(samples: Sequence[Array], statistic: Callable[..., Any]) -> Estimate:
-    """Estimate a statistic of several independent samples, each resampled by itself: `statistic(first, second, ...)`."""
+    """Estimate a statistic of several independent samples, each resampled by itself.
+
+    Args:
+        samples: (n,) each.
+        statistic: `statistic(first, second, ...)` of arrays (..., n), over their last axis.
+    """
     rows = [np.asarray(s, dtype=np.float64) for s in samples]
     if any(len(s) == 0 for s in rows):
         return Estimate(float("nan"), float("nan"), float("nan"))
     rng = np.random.default_rng(SEED)
-    drawn = [float(statistic(*(s[rng.integers(len(s), size=len(s))] for s in rows))) for _ in range(RESAMPLES)]
-    return Estimate(float(statistic(*rows)), *_percentiles(np.array(drawn)))
+    drawn = statistic(*(s[rng.integers(len(s), size=(RESAMPLES, len(s)))] for s in rows))
+    return Estimate(float(statistic(*rows)), *_percentiles(np.asarray(drawn)))

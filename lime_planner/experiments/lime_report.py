@@ -54,7 +54,7 @@ def ratio(cells: Cells, plant: int, variant: str, below: str, name: str = "cost"
     samples = [quantity(cells.get((plant, variant, key), []), name) for key in ("apf_rrt_star", below)]
     if min(len(s) for s in samples) < _FEWEST:
         return None
-    return independent(samples, lambda a, b: a.mean() / b.mean())
+    return independent(samples, lambda a, b: a.mean(axis=-1) / b.mean(axis=-1))
 
 
 def overall(ratios: list[Estimate | None]) -> Estimate:
