@@ -233,6 +233,19 @@ def planners_verdict(data: Results) -> str:
     return markdown_table(head, rows)
 
 
+def planners_tail(data: Results) -> str:
+    """The problems on which the default planner's median is above the asked 90th percentile at the asked budget."""
+    best, rows = compare.best_known(data), []
+    later = data["options"]["marks_s"][-1]
+    ours, end = (compare.problem_medians(data, compare.DEFAULT, mark) for mark in (FIRST_MARK_S, later))
+    for problem, cost in sorted(ours.items(), key=lambda item: -item[1] / best[item[0]]):
+        if cost / best[problem] > TAIL_RATIO:
+            rows.append([problem, _number(cost), f"{cost / best[problem]:.2f}", _number(end[problem]), _number(best[problem])])
+    if not rows:
+        return f"No problem's median is above {TAIL_RATIO:g} times the best known J at {FIRST_MARK_S:g} s."
+    return markdown_table(["problem", f"median J at {FIRST_MARK_S:g} s", "over best known", f"median J at {later:g} s", "best known"], rows)
+
+
 def _number(value: float) -> str:
     return "∞" if math.isinf(value) else f"{value:.1f}"
 
@@ -307,6 +320,7 @@ BLOCKS: dict[str, Block] = {
     "damage.failures": (("damage",), damage_failures),
     "planners.heading": (("planners",), comparison_heading),
     "planners.verdict": (("planners",), planners_verdict),
+    "planners.tail": (("planners",), planners_tail),
     "planners.costs": (("planners",), comparison_costs),
     "planners.ratios": (("planners",), comparison_ratios),
     "planners.pairs": (("planners",), comparison_pairs),
