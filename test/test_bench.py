@@ -13,7 +13,7 @@ from lime_planner.cli import main
 from lime_planner.errors import ParameterError
 from lime_planner.experiments.compiled_checks import CompiledChecks
 from lime_planner.experiments.isolated import IsolatedError, run_isolated
-from lime_planner.experiments.planner_runs import Curve, cost_at, run_lime, run_own
+from lime_planner.experiments.planner_runs import Curve, cost_at, run_lime, run_own, warm_up
 from lime_planner.experiments.problem_sets import NARROW_M, choose_problems, plant_specs, scan_specs
 from lime_planner.experiments.problems import ProblemSpec, SceneSpec, build_problem, find_problem
 from lime_planner.jit import kernel
@@ -94,6 +94,7 @@ def test_scans_stand_in_front_of_the_arm(shared_data):
 
 def test_cost_of_a_path_is_its_length_and_its_leaves(problem):
     goal = problem.goals.configurations[0]
+    warm_up(problem, "lime_star")
     outcome = run_lime(problem, 1, 0.2, "cpu")
     assert outcome["cost"] is not None
     path = np.array(outcome["path"])
