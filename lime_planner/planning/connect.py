@@ -1,4 +1,4 @@
-"""A first path quickly: two trees that grow towards each other (RRT-Connect, Kuffner and LaValle 2000), leaves left out of account."""
+"""Paths quickly: two trees that grow towards each other (RRT-Connect, Kuffner and LaValle 2000), leaves solid or left out of account."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from lime_planner.space import distance, edge, evaluate
 Array = npt.NDArray[np.float64]
 
 CAPACITY = 4000
+_ROUNDING = 1e-9  # share of a length that counts as nothing
 
 
 class Bush(NamedTuple):
@@ -55,16 +56,23 @@ def _nearest(space: Any, bush: Any, q: Any) -> Any:
 
 
 @kernel
-def _extend(space: Any, bush: Any, q: Any, step: float, trial: Any) -> Any:
+def _extend(space: Any, bush: Any, q: Any, step: float, solid: bool, trial: Any) -> Any:
     """Grow from the nearest node towards q by at most `step`; the new node, or -1. `trial` is left at where it ends."""
     near = _nearest(space, bush, q)
     gap = distance(space, bush.rows[near], q)
-    share = 1.0 if gap <= step else step / gap
     for k in range(q.shape[0]):
-        trial[k] = bush.rows[near, k] + share * (q[k] - bush.rows[near, k])
-    if gap == 0.0 or bush.size[0] >= bush.rows.shape[0] or evaluate(space, trial) < 0.0:
+        # The end exactly, not but for rounding: the trees meet where the distance is zero.
+        trial[k] = q[k] if gap <= step else bush.rows[near, k] + step / gap * (q[k] - bush.rows[near, k])
+    if gap == 0.0 or bush.size[0] >= bush.rows.shape[0]:
         return -1
-    if edge(space, bush.rows[near], trial, 0.0, np.inf) == np.inf:
+    leaf = evaluate(space, trial)
+    if leaf < 0.0 or (solid and leaf > 0.0):
+        return -1
+    if solid:
+        bound = distance(space, bush.rows[near], trial) * (1.0 + _ROUNDING)
+        if edge(space, bush.rows[near], trial, 1.0 / _ROUNDING, bound) > bound:
+            return -1
+    elif edge(space, bush.rows[near], trial, 0.0, np.inf) == np.inf:
         return -1
     at = bush.size[0]
     bush.rows[at] = trial
@@ -74,14 +82,17 @@ def _extend(space: Any, bush: Any, q: Any, step: float, trial: Any) -> Any:
 
 
 @kernel
-def connect(space: Any, from_start: Any, from_goal: Any, samples: int, step: float, random: Any, trial: Any, path: Any) -> tuple[int, int]:
+def connect(
+    space: Any, from_start: Any, from_goal: Any, samples: int, step: float, solid: bool, random: Any, trial: Any, path: Any
+) -> tuple[int, int]:
     """Grow both trees until they meet.
 
     Args:
-        space: leaves need not matter in it.
+        space: the space.
         from_start, from_goal: the trees.
         samples: how many random configurations to draw at most.
         step: longest edge.
+        solid: edges must not touch leaves; otherwise they may, and leaves should not matter in the space, which is faster.
         random: generator state.
         trial: (2, n) scratch.
         path: (M, n) receives the path from start to goal.
@@ -96,11 +107,11 @@ def connect(space: Any, from_start: Any, from_goal: Any, samples: int, step: flo
         other = from_goal if forward else from_start
         for k in range(n):
             trial[0, k] = space.lower[k] + uniform(random) * (space.upper[k] - space.lower[k])
-        new = _extend(space, grown, trial[0], step, trial[1])
+        new = _extend(space, grown, trial[0], step, solid, trial[1])
         if new < 0:
             continue
         while True:
-            reached = _extend(space, other, grown.rows[new], step, trial[1])
+            reached = _extend(space, other, grown.rows[new], step, solid, trial[1])
             if reached < 0:
                 break
             if distance(space, other.rows[reached], grown.rows[new]) == 0.0:

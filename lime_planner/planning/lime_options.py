@@ -20,7 +20,7 @@ class LimeOptions:
         weight: cost of one unit of length at leaf intensity 1 [1/rad].
         tracks: paths that are polished side by side.
         batch: roadmap samples between two searches of it.
-        polish_per_batch: polishing trials for each roadmap sample.
+        polish: polishing trials for each roadmap sample and dimension.
         connect_samples: random configurations for one attempt to reach one goal.
         least_step, most_step: range of the random moves, as shares of the sampling box's diagonal.
     """
@@ -28,7 +28,7 @@ class LimeOptions:
     weight: float = 1000.0
     tracks: int = 6
     batch: int = 50
-    polish_per_batch: float = 3.0
+    polish: float = 0.5
     connect_samples: int = 150
     least_step: float = 0.003
     most_step: float = 0.1

@@ -180,6 +180,18 @@ def add_path(space: Any, roadmap: Any, points: Any, segments: Any, count: int, g
 
 
 @kernel
+def add_known(space: Any, roadmap: Any, q: Any, to: int, cost: float) -> None:
+    """Add a valid configuration in free space that is joined to vertex `to` by an edge of known cost."""
+    v = add_vertex(space, roadmap, q, 0.0)
+    if v < 0:
+        return
+    e = add_edge(roadmap, v, to, distance(space, q, roadmap.rows[to]))
+    if e >= 0:
+        roadmap.cost[e] = cost
+        roadmap.known[e] = EXACT
+
+
+@kernel
 def _push(roadmap: Any, key: float, item: int) -> bool:
     i = roadmap.size[3]
     if i >= roadmap.key.shape[0]:
