@@ -28,6 +28,7 @@ _LONGEST = 16  # such tries take at most so many times the first one's samples
 _FIRST_TRIALS = 40  # ways out tried for each goal before the worse half is left aside; then twice as many for the others
 _STAGES = 4
 _TRIALS_IN_ONE_GO = 20
+_SAMPLES_IN_ONE_GO = 25
 _TRIED = 6  # waypoints of the best path from which the end of a way out is tried to be reached
 
 
@@ -174,7 +175,7 @@ class Run:
             self._rooted = rooted
         trees.plant(self.from_goal, goal)
         while samples > 0 and not self.over():
-            share = self.left(min(samples, 100))  # short slices: a stop is heard in between
+            share = self.left(min(samples, _SAMPLES_IN_ONE_GO))  # short slices: a stop is heard in between
             stride = self.stride / 3.0 if solid else self.stride
             count, drawn = trees.connect(space, self.from_start, self.from_goal, share, stride, solid, self.random, self.trial, self.path)
             self.iterations += drawn
