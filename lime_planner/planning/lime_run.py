@@ -25,8 +25,8 @@ _SLICE_S = 0.004
 _PROMISING = 0.95  # share of the best cost below which a way out that was not reached is tried again
 _JOINED_FIRST = 6
 _LONGEST = 16  # such tries take at most so many times the first one's samples
-_FIRST_TRIALS = 40  # ways out tried for each goal before the worse half is left aside; then twice as many for the others
-_STAGES = 4
+_FIRST_TRIALS = 20  # ways out tried for each goal before the worse half is left aside; then twice as many for the others
+_STAGES = 5
 _TRIALS_IN_ONE_GO = 20
 _SAMPLES_IN_ONE_GO = 25
 _TRIED = 6  # waypoints of the best path from which the end of a way out is tried to be reached
@@ -208,6 +208,9 @@ class Run:
                 self._improve(int(g), trials)
             alive = alive[np.argsort(self.escapes.cost[alive], kind="stable")][: max(1, len(alive) // 2)]
             trials *= 2
+            # The best so far at once: a search that ends now should have something of it.
+            if len(alive) and self.least_cost(int(alive[0])) < self.best_cost and not self.over():
+                self._join(int(alive[0]))
 
     def _improve(self, g: int, trials: int) -> bool:
         """Try more ways out of one configuration, in slices: a stop is heard in between."""

@@ -38,6 +38,7 @@ Array = npt.NDArray[np.float64]
 
 # Shares of the roadmap's samples; the others fall around the paths.
 _UNIFORM, _AT_GOALS = 0.6, 0.08
+_EDGES_IN_ONE_GO = 40  # edges among leaves take a millisecond each at worst
 _REDRAWN = 30  # times a sample that cannot be part of a better path is drawn again
 
 
@@ -227,7 +228,7 @@ def _round(run: Run) -> None:
         count = int(run.tracks.size[best_track])
         graph.add_path(run.space, run.road, run.tracks.points[best_track], run.tracks.segment[best_track], count, goal)
     graph.begin_search(run.space, run.road, o.weight, run.best_cost)
-    while not graph.continue_search(run.space, run.road, o.weight, run.best_cost, 100):
+    while not graph.continue_search(run.space, run.road, o.weight, run.best_cost, _EDGES_IN_ONE_GO):
         if run.over():
             return
     count = graph.read_path(run.road, run.path)
