@@ -27,7 +27,7 @@ def until(holds: Callable[[], bool], what: str, timeout_s: float = 60.0) -> None
 
 @pytest.fixture(scope="module")
 def desk() -> Iterator[Desk]:
-    made = Desk(robot_named, settings(iterations=2000, seed=3), scene=plant(15), title="plant")
+    made = Desk(robot_named, settings(iterations=8000, seed=3), scene=plant(15), title="plant")
     until(lambda: made.moment().activity is Activity.IDLE, "the planner", 120.0)
     yield made
     made.close()
