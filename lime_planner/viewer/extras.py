@@ -74,7 +74,7 @@ class Extras:
             return
         thin = "" if len(grown.segments) == grown.total else f"{len(grown.segments):,} of "
         self._tree_note = (
-            f"search tree: {thin}{grown.total:,} edges" if grown.total else "search tree: empty, first paths took all the time"
+            f"search tree: {thin}{grown.total:,} edges" if grown.total else "search tree: empty, first paths took all time"
         )
         if grown.total:
             colours = np.where(grown.leafy[:, None, None], rgb(LEAFY_PATH), rgb(FREE_PATH)).astype(np.uint8)
