@@ -73,9 +73,7 @@ class Extras:
         if shown is not self._tree_of:
             return
         thin = "" if len(grown.segments) == grown.total else f"{len(grown.segments):,} of "
-        self._tree_note = (
-            f"search tree: {thin}{grown.total:,} edges" if grown.total else "search tree: empty, first paths took all time"
-        )
+        self._tree_note = f"search tree: {thin}{grown.total:,} edges" if grown.total else "search tree: empty, first paths took all time"
         if grown.total:
             colours = np.where(grown.leafy[:, None, None], rgb(LEAFY_PATH), rgb(FREE_PATH)).astype(np.uint8)
             self._tree = self._api.add_line_segments(
