@@ -200,7 +200,8 @@ class Bench:
         return msg
 
     def send_target(self, pose: Sequence[float], frame_id: str = "base") -> None:
-        """Publish a target x y z qx qy qz qw."""
+        """Publish a target x y z qx qy qz qw, once somebody listens: targets are not kept for whoever comes later."""
+        self.wait(self.target.get_subscription_count, 20.0, "a subscriber of the target")
         msg = PoseStamped()
         msg.header.frame_id = frame_id
         msg.header.stamp = self.node.get_clock().now().to_msg()

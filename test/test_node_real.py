@@ -169,7 +169,7 @@ class TestAPlayedArm:
             # A target that surely can be reached: where the tool is after a small move, among a few leaves and a stem far below.
             bench.send_target(matrix_to_pose(robot.forward(q + 0.15)))
             self.clouds(bench, np.array([[0.0, 0.0, -0.5]]))
-            time.sleep(0.5)
+            bench.wait(lambda: bench.received("grasp_target") and bench.received("stem_cloud"), 20.0, "the inputs' arrival")
             yield bench, robot, planner
             bench.close()
 
