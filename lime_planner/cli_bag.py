@@ -7,9 +7,6 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from lime_planner.errors import ParameterError
-from lime_planner.parameters import NODE_PARAMETERS
-
 if TYPE_CHECKING:
     from lime_planner.robot.model import Robot
     from lime_planner.scene.recorded import RecordedScene
@@ -38,21 +35,11 @@ def read_bag(
         SceneError: see `read_recording`.
         ParameterError: more than one fruit label.
     """
+    from lime_planner.cli_plan import label_options
     from lime_planner.ros.arm_filter import make_arm_filter
     from lime_planner.scene.recorded import Frame, Labels, read_recording
 
-    def parameter(name: str) -> Any:
-        return values.get(name, NODE_PARAMETERS[name].default)
-
-    fruit = parameter("fruit_labels")
-    if len(fruit) > 1:
-        raise ParameterError(f"fruit_labels: a recording can have one, got {fruit}")
-    labels = Labels(
-        parameter("label_field"),
-        parameter("leaf_labels"),
-        parameter("stem_labels"),
-        fruit[0] if fruit else None,
-        parameter("ignored_labels"),
-    )
+    of = label_options(values)
+    labels = Labels(of["label_field"], of["leaf_labels"], of["stem_labels"], of["fruit_label"], of["ignored_labels"])
     frame = Frame(robot.planning_frame, robot.joint_names, make_arm_filter(robot), padding_m)
     return read_recording(path, frame, topics=topics, at_s=at_s, labels=labels)

@@ -7,7 +7,7 @@ import dataclasses
 import signal
 import sys
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -129,6 +129,19 @@ def read_parameters(args: argparse.Namespace) -> dict[str, Any]:
     return values
 
 
+def label_options(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what the parameters say about labels, as `load_scene` takes it.
+
+    Raises:
+        ParameterError: more than one fruit label.
+    """
+    of = {name: values.get(name, NODE_PARAMETERS[name].default) for name in _OF_FILES}
+    fruit = of.pop("fruit_labels")
+    if len(fruit) > 1:
+        raise ParameterError(f"fruit_labels: a file or a recording can have one, got {fruit}")
+    return {**of, "fruit_label": fruit[0] if fruit else None}
+
+
 def read_scene(args: argparse.Namespace, values: dict[str, Any]) -> Scene:
     """Load the scene with the labels that the parameters name; its frame is empty where the file names none.
 
@@ -138,23 +151,7 @@ def read_scene(args: argparse.Namespace, values: dict[str, Any]) -> Scene:
     """
     from lime_planner.scene.files import load_scene
 
-    def parameter(name: str) -> Any:
-        return values.get(name, NODE_PARAMETERS[name].default)
-
-    fruit = parameter("fruit_labels")
-    if len(fruit) > 1:
-        raise ParameterError(f"fruit_labels: a scene file can have one, got {fruit}")
-    return load_scene(
-        args.scene,
-        scale=args.scale,
-        offset=args.offset,
-        label_field=parameter("label_field"),
-        default_frame="",
-        leaf_labels=parameter("leaf_labels"),
-        stem_labels=parameter("stem_labels"),
-        fruit_label=fruit[0] if fruit else None,
-        ignored_labels=parameter("ignored_labels"),
-    )
+    return load_scene(args.scene, scale=args.scale, offset=args.offset, default_frame="", **label_options(values))
 
 
 def run(args: argparse.Namespace) -> int:

@@ -271,6 +271,15 @@ def test_a_free_straight_line_of_the_arm_is_the_answer() -> None:
     assert pipeline_of().robot is obstacles.robot
 
 
+def problem(kind: str) -> tuple[Any, Any, Any, LimeOptions]:
+    """A wall of the plane, or a problem of the arm: space, start, goals, options."""
+    if kind == "plane":
+        world = random_wall(2)
+        return world.space(), world.start, world.goal, LimeOptions(weight=WEIGHT)
+    obstacles, start, goals = arm_problem(kind)
+    return arm_space(obstacles, start, goals), start, goals, LimeOptions()
+
+
 def asked(run: Callable[[Callable[[], bool]], Any], stop_after_s: float) -> tuple[float, float, float]:
     """Longest time between two looks at should_stop, and from the first True to the end: CPU [s], and the latter as wall time."""
     began, marks, stopped = time.monotonic(), [time.thread_time()], []
@@ -291,12 +300,7 @@ def asked(run: Callable[[Callable[[], bool]], Any], stop_after_s: float) -> tupl
 
 @pytest.mark.parametrize("kind", ["plane", "scan", "plant", "graded"])
 def test_stops_within_50_ms(kind: str) -> None:
-    if kind == "plane":
-        world = random_wall(2)
-        space, start, goals, options = world.space(), world.start, world.goal, LimeOptions(weight=WEIGHT)
-    else:
-        obstacles, start, goals = arm_problem(kind)
-        space, options = arm_space(obstacles, start, goals), LimeOptions()
+    space, start, goals, options = problem(kind)
     plan_lime(space, start, goals, options, 1, iterations=800)  # compiled before the clock runs
     for after in (0.0, 0.02, 0.15, 0.5):
         results = []
@@ -313,12 +317,7 @@ def test_stops_within_50_ms(kind: str) -> None:
 @pytest.mark.parametrize("kind", ["plane", "scan", "graded"])
 @pytest.mark.parametrize("deadline_s", [0.1, 0.5])
 def test_keeps_its_deadline(kind: str, deadline_s: float) -> None:
-    if kind == "plane":
-        world = random_wall(2)
-        space, start, goals, options = world.space(), world.start, world.goal, LimeOptions(weight=WEIGHT)
-    else:
-        obstacles, start, goals = arm_problem(kind)
-        space, options = arm_space(obstacles, start, goals), LimeOptions()
+    space, start, goals, options = problem(kind)
     plan_lime(space, start, goals, options, 1, iterations=800)
     over = []
     for seed in range(1, 5):

@@ -28,6 +28,20 @@ ROWS: tuple[tuple[str, str, str, float, int], ...] = (
     ("min_stem_clearance_m", "smallest clearance to stems", "mm", 1000.0, 1),
 )
 
+#: The figures of a plan that are real numbers, NaN where there is no path.
+NUMBERS = (
+    "planning_time_s",
+    "cost",
+    "path_length_rad",
+    "collision_cost",
+    "leaf_contact_rad",
+    "tool_path_length_m",
+    "tool_leaf_contact_m",
+    "min_stem_clearance_m",
+    "goal_error_m",
+    "goal_error_rad",
+)
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class PlanResult:
@@ -121,18 +135,7 @@ class PlanResult:
         values["cost_metric"] = self.cost_metric
         for name in ("iterations", "n_collision_nodes"):
             values[name] = int(getattr(self, name))
-        for name in (
-            "planning_time_s",
-            "cost",
-            "path_length_rad",
-            "collision_cost",
-            "leaf_contact_rad",
-            "tool_path_length_m",
-            "tool_leaf_contact_m",
-            "min_stem_clearance_m",
-            "goal_error_m",
-            "goal_error_rad",
-        ):
+        for name in NUMBERS:
             value = float(getattr(self, name))
             values[name] = value if np.isfinite(value) else None
         values["waypoints"] = self.waypoints.tolist()

@@ -174,6 +174,7 @@ def warm_up(space: Any) -> None:
     run.goal_leaf[0] = 1.0
     run.look_for_ways_out()
     run.use_ways_out()
+    graph.add_known(space, run.road, middle, 0, 1.0)  # without leaves no way out costs anything, and none is kept
 
 
 def _search(run: Run) -> None:

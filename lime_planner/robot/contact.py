@@ -51,6 +51,35 @@ def grid_distance(shapes: Shapes, b: int, x: float, y: float, z: float) -> Any:
 
 
 @inline_kernel
+def mesh_distance(shapes: Any, b: Any, pose: Any, x: Any, y: Any, z: Any) -> Any:
+    """Signed distance of body b's mesh, its joint's frame at `pose`, from a place in the planning frame; see `grid_distance` [m]."""
+    dx = x - pose[0, 3]
+    dy = y - pose[1, 3]
+    dz = z - pose[2, 3]
+    return grid_distance(
+        shapes,
+        b,
+        pose[0, 0] * dx + pose[1, 0] * dy + pose[2, 0] * dz,
+        pose[0, 1] * dx + pose[1, 1] * dy + pose[2, 1] * dz,
+        pose[0, 2] * dx + pose[1, 2] * dy + pose[2, 2] * dz,
+    )
+
+
+@inline_kernel
+def _cells_near(table: Any, x: Any, y: Any, z: Any, reach: Any) -> tuple[Any, Any, Any, Any, Any, Any]:
+    """First and last cell, on each axis, of the points' table that a cube around a place meets; last under first where none."""
+    inverse = 1.0 / table.cell_m
+    return (
+        max(0, int(math.floor((x - reach - table.origin[0]) * inverse))),
+        min(table.shape[0] - 1, int(math.floor((x + reach - table.origin[0]) * inverse))),
+        max(0, int(math.floor((y - reach - table.origin[1]) * inverse))),
+        min(table.shape[1] - 1, int(math.floor((y + reach - table.origin[1]) * inverse))),
+        max(0, int(math.floor((z - reach - table.origin[2]) * inverse))),
+        min(table.shape[2] - 1, int(math.floor((z + reach - table.origin[2]) * inverse))),
+    )
+
+
+@inline_kernel
 def points_near(
     shapes: Any, b: Any, pose: Any, table: Any, x: Any, y: Any, z: Any, reach: Any, enough: Any, skip: Any, skip_radius: Any
 ) -> Any:
@@ -59,17 +88,10 @@ def points_near(
     Stops at the first one under `enough`. Points within skip_radius of `skip` do not count.
     """
     best = reach
-    shape = table.shape
-    inverse = 1.0 / table.cell_m
-    low0 = max(0, int(math.floor((x - reach - table.origin[0]) * inverse)))
-    low1 = max(0, int(math.floor((y - reach - table.origin[1]) * inverse)))
-    low2 = max(0, int(math.floor((z - reach - table.origin[2]) * inverse)))
-    high0 = min(shape[0] - 1, int(math.floor((x + reach - table.origin[0]) * inverse)))
-    high1 = min(shape[1] - 1, int(math.floor((y + reach - table.origin[1]) * inverse)))
-    high2 = min(shape[2] - 1, int(math.floor((z + reach - table.origin[2]) * inverse)))
+    low0, high0, low1, high1, low2, high2 = _cells_near(table, x, y, z, reach)
     for i in range(low0, high0 + 1):
         for j in range(low1, high1 + 1):
-            row = (i * shape[1] + j) * shape[2]
+            row = (i * table.shape[1] + j) * table.shape[2]
             for at in range(table.start[row + low2] if high2 >= low2 else 0, table.start[row + high2 + 1] if high2 >= low2 else 0):
                 px = float(table.points[at, 0])
                 py = float(table.points[at, 1])
@@ -78,16 +100,7 @@ def points_near(
                     continue
                 if skip_radius > 0.0 and (px - skip[0]) ** 2 + (py - skip[1]) ** 2 + (pz - skip[2]) ** 2 < skip_radius * skip_radius:
                     continue
-                dx = px - pose[0, 3]
-                dy = py - pose[1, 3]
-                dz = pz - pose[2, 3]
-                d = grid_distance(
-                    shapes,
-                    b,
-                    pose[0, 0] * dx + pose[1, 0] * dy + pose[2, 0] * dz,
-                    pose[0, 1] * dx + pose[1, 1] * dy + pose[2, 1] * dz,
-                    pose[0, 2] * dx + pose[1, 2] * dy + pose[2, 2] * dz,
-                )
+                d = mesh_distance(shapes, b, pose, px, py, pz)
                 if d < best:
                     best = d
                     if best < enough:
@@ -103,33 +116,17 @@ def leaf_near(shapes: Any, b: Any, pose: Any, table: Any, x: Any, y: Any, z: Any
     """
     best = reach
     heaviest = 0.0
-    shape = table.shape
-    inverse = 1.0 / table.cell_m
-    low0 = max(0, int(math.floor((x - reach - table.origin[0]) * inverse)))
-    low1 = max(0, int(math.floor((y - reach - table.origin[1]) * inverse)))
-    low2 = max(0, int(math.floor((z - reach - table.origin[2]) * inverse)))
-    high0 = min(shape[0] - 1, int(math.floor((x + reach - table.origin[0]) * inverse)))
-    high1 = min(shape[1] - 1, int(math.floor((y + reach - table.origin[1]) * inverse)))
-    high2 = min(shape[2] - 1, int(math.floor((z + reach - table.origin[2]) * inverse)))
+    low0, high0, low1, high1, low2, high2 = _cells_near(table, x, y, z, reach)
     for i in range(low0, high0 + 1):
         for j in range(low1, high1 + 1):
-            row = (i * shape[1] + j) * shape[2]
+            row = (i * table.shape[1] + j) * table.shape[2]
             for at in range(table.start[row + low2] if high2 >= low2 else 0, table.start[row + high2 + 1] if high2 >= low2 else 0):
                 px = float(table.points[at, 0])
                 py = float(table.points[at, 1])
                 pz = float(table.points[at, 2])
                 if (px - x) ** 2 + (py - y) ** 2 + (pz - z) ** 2 > reach * reach:
                     continue
-                dx = px - pose[0, 3]
-                dy = py - pose[1, 3]
-                dz = pz - pose[2, 3]
-                d = grid_distance(
-                    shapes,
-                    b,
-                    pose[0, 0] * dx + pose[1, 0] * dy + pose[2, 0] * dz,
-                    pose[0, 1] * dx + pose[1, 1] * dy + pose[2, 1] * dz,
-                    pose[0, 2] * dx + pose[1, 2] * dy + pose[2, 2] * dz,
-                )
+                d = mesh_distance(shapes, b, pose, px, py, pz)
                 best = min(best, d)
                 if d < radius:
                     heaviest = max(heaviest, float(table.weights[at]))
@@ -144,30 +141,14 @@ def touched_patches(
 ) -> Any:
     """Sum of the weights of the points near a place that touch body b and carry no mark yet; they are marked."""
     total = 0.0
-    shape = table.shape
-    inverse = 1.0 / table.cell_m
-    low0 = max(0, int(math.floor((x - reach - table.origin[0]) * inverse)))
-    low1 = max(0, int(math.floor((y - reach - table.origin[1]) * inverse)))
-    low2 = max(0, int(math.floor((z - reach - table.origin[2]) * inverse)))
-    high0 = min(shape[0] - 1, int(math.floor((x + reach - table.origin[0]) * inverse)))
-    high1 = min(shape[1] - 1, int(math.floor((y + reach - table.origin[1]) * inverse)))
-    high2 = min(shape[2] - 1, int(math.floor((z + reach - table.origin[2]) * inverse)))
+    low0, high0, low1, high1, low2, high2 = _cells_near(table, x, y, z, reach)
     for i in range(low0, high0 + 1):
         for j in range(low1, high1 + 1):
-            row = (i * shape[1] + j) * shape[2]
+            row = (i * table.shape[1] + j) * table.shape[2]
             for at in range(table.start[row + low2] if high2 >= low2 else 0, table.start[row + high2 + 1] if high2 >= low2 else 0):
                 if marks[at] == mark:
                     continue
-                dx = table.points[at, 0] - pose[0, 3]
-                dy = table.points[at, 1] - pose[1, 3]
-                dz = table.points[at, 2] - pose[2, 3]
-                d = grid_distance(
-                    shapes,
-                    b,
-                    pose[0, 0] * dx + pose[1, 0] * dy + pose[2, 0] * dz,
-                    pose[0, 1] * dx + pose[1, 1] * dy + pose[2, 1] * dz,
-                    pose[0, 2] * dx + pose[1, 2] * dy + pose[2, 2] * dz,
-                )
+                d = mesh_distance(shapes, b, pose, table.points[at, 0], table.points[at, 1], table.points[at, 2])
                 if d < radius:
                     marks[at] = mark
                     total += table.weights[at]

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lime_planner.jit import kernel
-from lime_planner.robot.contact import grid_distance, place
+from lime_planner.robot.contact import mesh_distance, place
 from lime_planner.robot.kinematics import forward_kinematics
 from lime_planner.robot.model import Robot
 from lime_planner.robot.shapes import Shapes
@@ -26,17 +26,7 @@ def _touch(shapes: Any, poses: Any, points: Any, radius: float, out: Any) -> Non
         for p in range(points.shape[0]):
             if (points[p, 0] - x) ** 2 + (points[p, 1] - y) ** 2 + (points[p, 2] - z) ** 2 > reach:
                 continue
-            dx = points[p, 0] - pose[0, 3]
-            dy = points[p, 1] - pose[1, 3]
-            dz = points[p, 2] - pose[2, 3]
-            d = grid_distance(
-                shapes,
-                b,
-                pose[0, 0] * dx + pose[1, 0] * dy + pose[2, 0] * dz,
-                pose[0, 1] * dx + pose[1, 1] * dy + pose[2, 1] * dz,
-                pose[0, 2] * dx + pose[1, 2] * dy + pose[2, 2] * dz,
-            )
-            if d < radius:
+            if mesh_distance(shapes, b, pose, points[p, 0], points[p, 1], points[p, 2]) < radius:
                 out[p] = True
 
 

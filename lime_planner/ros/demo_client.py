@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import threading
 import time
 from collections.abc import Callable
 from typing import Any
@@ -12,14 +11,13 @@ import numpy as np
 import numpy.typing as npt
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
-from rclpy.task import Future
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
 from lime_planner.ros import qos
 from lime_planner.ros.demo_processes import Corner, DemoError
+from lime_planner.ros.spinning import Spinning
 from lime_planner.ros.status import read_status
 
 Array = npt.NDArray[np.float64]
@@ -45,16 +43,12 @@ class DemoClient:
         self._status: dict[str, str] = {}
         self._health: dict[str, str] = {}
         rclpy.init(args=[], domain_id=corner.domain, signal_handler_options=SignalHandlerOptions.NO)
-        self._node = rclpy.create_node("demo", namespace=corner.namespace)
-        self._node.create_subscription(JointState, "joint_states", self._on_joint_state, qos.JOINT_STATES)
-        self._node.create_subscription(DiagnosticArray, f"{_PLANNER}/status", self._on_status, qos.STATUS)
-        self._node.create_subscription(DiagnosticArray, "/diagnostics", self._on_health, 10)
-        self._plan = self._node.create_client(Trigger, f"{_PLANNER}/plan", qos_profile=qos.SERVICE)
-        self._executor = SingleThreadedExecutor()
-        self._executor.add_node(self._node)
-        self._done = Future()
-        self._thread = threading.Thread(target=self._executor.spin_until_future_complete, args=(self._done,), name="spin", daemon=True)
-        self._thread.start()
+        node = rclpy.create_node("demo", namespace=corner.namespace)
+        node.create_subscription(JointState, "joint_states", self._on_joint_state, qos.JOINT_STATES)
+        node.create_subscription(DiagnosticArray, f"{_PLANNER}/status", self._on_status, qos.STATUS)
+        node.create_subscription(DiagnosticArray, "/diagnostics", self._on_health, 10)
+        self._plan = node.create_client(Trigger, f"{_PLANNER}/plan", qos_profile=qos.SERVICE)
+        self._spinning = Spinning(node)
 
     @property
     def states(self) -> Array:
@@ -111,12 +105,7 @@ class DemoClient:
 
     def __exit__(self, *_: object) -> None:
         """Leave the graph."""
-        self._done.set_result(None)
-        self._executor.wake()
-        self._thread.join(5.0)
-        self._executor.shutdown()
-        self._node.destroy_node()
-        rclpy.try_shutdown()
+        self._spinning.close()
 
     def _on_joint_state(self, msg: JointState) -> None:
         positions = dict(zip(msg.name, msg.position, strict=False))

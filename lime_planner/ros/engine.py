@@ -12,6 +12,7 @@ from typing import Any
 from lime_planner.errors import LimePlannerError
 from lime_planner.motion import stop
 from lime_planner.parameters import Settings
+from lime_planner.ros.attendant import Attendant
 from lime_planner.ros.refusal import Refusal
 from lime_planner.status import Status
 
@@ -54,7 +55,7 @@ def build(settings: Settings, urdf: str | None) -> Loaded:
     return Loaded(robot, Pipeline(robot))
 
 
-class Engine:
+class Engine(Attendant):
     """Loads in a thread of its own, so that the node serves from its first second."""
 
     def __init__(
@@ -75,21 +76,19 @@ class Engine:
             on_loaded: is told about each new model before it is used.
             report: log: (whether it is an error, sentence).
         """
+        super().__init__()
         self._builder = builder
         self._settings = settings
         self._may_exchange = may_exchange
         self._on_loaded = on_loaded
         self._report = report
-        self._condition = threading.Condition()
         self._in_use = threading.Lock()
         self._loaded: Loaded | None = None
         self._failure = ""
         self._description: str | None = None
-        self._closed = False
         self._warm = False
         self.state = "waiting for robot_description" if settings.robot == FROM_TOPIC else "loading the robot"
-        self._thread = threading.Thread(target=self._run, name="engine", daemon=True)
-        self._thread.start()
+        self._start("engine")
 
     @property
     def loaded(self) -> Loaded | None:
@@ -143,14 +142,6 @@ class Engine:
             raise Refusal(Status.BAD_INPUT, self._failure)
         if time.monotonic() >= deadline or should_stop() or self._closed:
             raise Refusal(Status.NOT_READY, f"{self.state}; waited {timeout_s:g} s")
-
-    def close(self, timeout_s: float = 2.0) -> bool:
-        """End the thread; False if it is still compiling after `timeout_s` (it dies with the process then)."""
-        with self._condition:
-            self._closed = True
-            self._condition.notify_all()
-        self._thread.join(timeout_s)
-        return not self._thread.is_alive()
 
     def _run(self) -> None:
         if self._settings.robot != FROM_TOPIC:

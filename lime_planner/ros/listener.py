@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
@@ -12,18 +11,17 @@ from typing import Any
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
 from rclpy.signals import SignalHandlerOptions
-from rclpy.task import Future
 from sensor_msgs.msg import JointState, PointCloud2
 
 from lime_planner.ros import qos
 from lime_planner.ros.frames import Frames, make_frames
 from lime_planner.ros.inputs import CLOUDS, Inputs
 from lime_planner.ros.params import Snapshot
+from lime_planner.ros.spinning import Spinning
 from lime_planner.ros.status import read_status
 
 #: The inputs, under the names that the planner node has for them.
@@ -56,10 +54,10 @@ class Listener:
         Raises:
             ParameterError: static transforms that cannot be read.
         """
-        self._context = rclpy.Context()
-        rclpy.init(args=[], context=self._context, signal_handler_options=SignalHandlerOptions.NO)
+        context = rclpy.Context()
+        rclpy.init(args=[], context=context, signal_handler_options=SignalHandlerOptions.NO)
         simulated = [Parameter("use_sim_time", value=use_sim_time)]
-        self.node = Node(f"lime_planner_listener_{os.getpid()}", context=self._context, namespace=namespace, parameter_overrides=simulated)
+        self.node = Node(f"lime_planner_listener_{os.getpid()}", context=context, namespace=namespace, parameter_overrides=simulated)
         names = {name: (topics or {}).get(name, name) for name in INPUTS}
         self.topics = {name: self.node.resolve_topic_name(topic) for name, topic in names.items()}
         self.inputs = Inputs(self._ros_now_s, lambda _sentence: None)
@@ -76,11 +74,7 @@ class Listener:
         self.node.create_subscription(DiagnosticArray, "/diagnostics", self._on_health, 10)
         self.node.create_timer(_CHECK_PERIOD_S, self._check_offers)
         self.node.get_logger().set_level(rclpy.logging.LoggingSeverity.WARN)  # what it subscribes to is nobody's news
-        self._executor = SingleThreadedExecutor(context=self._context)
-        self._executor.add_node(self.node)
-        self._done = Future()
-        self._thread = threading.Thread(target=self._executor.spin_until_future_complete, args=(self._done,), name="listener", daemon=True)
-        self._thread.start()
+        self._spinning = Spinning(self.node)
 
     def publishers(self, name: str) -> int:
         """Count the publishers of an input."""
@@ -114,12 +108,7 @@ class Listener:
 
     def __exit__(self, *_: object) -> None:
         """Leave the graph."""
-        self._done.set_result(None)
-        self._executor.wake()
-        self._thread.join(5.0)
-        self._executor.shutdown()
-        self.node.destroy_node()
-        self._context.try_shutdown()
+        self._spinning.close()
 
     def _on_cloud(self, name: str, msg: PointCloud2) -> None:
         self.inputs.on_cloud(name, msg)

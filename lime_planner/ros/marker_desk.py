@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Callable
 from typing import Protocol
 
@@ -12,6 +11,7 @@ from builtin_interfaces.msg import Time
 from visualization_msgs.msg import MarkerArray
 
 from lime_planner.poses import matrix_to_pose
+from lime_planner.ros.attendant import Attendant
 from lime_planner.ros.engine import Loaded
 from lime_planner.ros.markers import Extras, markers
 from lime_planner.ros.requests import Shown
@@ -31,7 +31,7 @@ class Publisher(Protocol):
         ...
 
 
-class MarkerDesk:
+class MarkerDesk(Attendant):
     """Keeps the newest plan, and publishes its markers once somebody wants to see them."""
 
     def __init__(
@@ -51,17 +51,15 @@ class MarkerDesk:
             now: the ROS time.
             warn: is told about a picture that could not be drawn.
         """
+        super().__init__()
         self._publisher = publisher
         self._model = model
         self._busy = busy
         self._now = now
         self._warn = warn
-        self._condition = threading.Condition()
         self._newest: tuple[Shown, Loaded | None] | None = None
         self._drawn: Shown | None = None
-        self._closed = False
-        self._thread = threading.Thread(target=self._run, name="markers", daemon=True)
-        self._thread.start()
+        self._start("markers")
 
     def show(self, shown: Shown) -> None:
         """Take in a plan; it is drawn at once if somebody subscribes."""
@@ -74,14 +72,6 @@ class MarkerDesk:
         with self._condition:
             if self._newest is not None and self._newest[0] is not self._drawn and self._publisher.get_subscription_count() > 0:
                 self._condition.notify_all()
-
-    def close(self, timeout_s: float = 2.0) -> bool:
-        """End the thread; False if it still draws after `timeout_s`."""
-        with self._condition:
-            self._closed = True
-            self._condition.notify_all()
-        self._thread.join(timeout_s)
-        return not self._thread.is_alive()
 
     def _run(self) -> None:
         while True:

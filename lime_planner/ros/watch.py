@@ -5,12 +5,12 @@ In a thread of its own, because a preview may keep the worker busy meanwhile. Le
 
 from __future__ import annotations
 
-import threading
 import time
 import traceback
 from collections.abc import Callable
 from typing import Any
 
+from lime_planner.ros.attendant import Attendant
 from lime_planner.ros.execution import Execution, Motion
 from lime_planner.ros.refusal import Refusal
 from lime_planner.status import Status
@@ -22,7 +22,7 @@ _PAUSE_S = 0.05
 Look = Callable[[Motion, Callable[[], bool]], str | None]
 
 
-class StemWatch:
+class StemWatch(Attendant):
     """The thread."""
 
     def __init__(self, execution: Execution, look: Look, warn: Callable[[str], None]) -> None:
@@ -33,28 +33,18 @@ class StemWatch:
             look: checks the remaining path against the newest clouds.
             warn: is told about clouds that cannot be used and about defects.
         """
+        super().__init__()
         self._execution = execution
         self._look = look
         self._warn = warn
-        self._condition = threading.Condition()
         self._due = False
-        self._closed = False
-        self._thread = threading.Thread(target=self._run, name="stem watch", daemon=True)
-        self._thread.start()
+        self._start("stem watch")
 
     def notice(self) -> None:
         """Say that a cloud with stems has arrived."""
         with self._condition:
             self._due = True
             self._condition.notify_all()
-
-    def close(self, timeout_s: float = 2.0) -> bool:
-        """End the thread; False if it does not end in time."""
-        with self._condition:
-            self._closed = True
-            self._condition.notify_all()
-        self._thread.join(timeout_s)
-        return not self._thread.is_alive()
 
     def _run(self) -> None:
         while True:

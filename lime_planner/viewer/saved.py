@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from lime_planner.errors import ParameterError
 from lime_planner.motion.trajectory import Trajectory
-from lime_planner.pipeline import PlanResult
+from lime_planner.pipeline.result import NUMBERS, PlanResult
 from lime_planner.poses import pose_to_matrix
 from lime_planner.robot.model import Robot
 from lime_planner.scene.files import load_scene
@@ -20,19 +20,6 @@ from lime_planner.scene.scene import Scene
 from lime_planner.status import Status
 
 Array = npt.NDArray[np.float64]
-
-_FIGURES = (
-    "cost",
-    "path_length_rad",
-    "collision_cost",
-    "leaf_contact_rad",
-    "tool_path_length_m",
-    "tool_leaf_contact_m",
-    "min_stem_clearance_m",
-    "goal_error_m",
-    "goal_error_rad",
-    "planning_time_s",
-)
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,7 +80,7 @@ class SavedPlan:
         waypoints = np.asarray(figures["waypoints"], dtype=np.float64).reshape(len(figures["waypoints"]), -1)
         if len(waypoints) and waypoints.shape[1] != robot.n:
             raise ParameterError(f"{self.path}: was made for an arm of {waypoints.shape[1]} joints; {robot.name} has {robot.n}")
-        numbers: dict[str, Any] = {name: float("nan") if figures.get(name) is None else float(figures[name]) for name in _FIGURES}
+        numbers: dict[str, Any] = {name: float("nan") if figures.get(name) is None else float(figures[name]) for name in NUMBERS}
         timed = figures.get("trajectory")
         trajectory = None
         if timed is not None:
