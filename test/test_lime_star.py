@@ -101,11 +101,10 @@ def test_random_walls_come_close_to_the_optimum() -> None:
     means = ratios.mean(axis=1)
     print(f"\nten walls, 5000 iterations: ratio to the optimum {means.mean():.4f} on average; of each: {means.round(3).tolist()}")
     assert np.isfinite(ratios).all() and ratios.min() > 1.0 - 1e-6
-    # Wall 6 hides its best way in a corridor as narrow as a hair; RRT* with the RRG's radius is 7 % above it after 20000 iterations.
-    # On the other walls a run in some tens misses the best gap.
-    assert np.sort(np.median(ratios, axis=1))[-2] <= 1.01
-    assert np.sort(ratios, axis=None)[: 5 * 9 - 3].max() <= 1.02
-    assert means.mean() <= 1.03
+    assert means.mean() <= 1.01
+    # Wall 6's best way bends around a hard corner 0.2 from the edge of the leaves; most runs end a few per cent above it.
+    assert np.sort(means)[-2] <= 1.01 and means.max() <= 1.08
+    assert np.sort(ratios, axis=None)[: 5 * 9].max() <= 1.02
 
 
 def test_more_iterations_are_never_worse() -> None:

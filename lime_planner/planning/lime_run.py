@@ -15,6 +15,7 @@ from lime_planner.planning import connect as trees
 from lime_planner.planning import escape
 from lime_planner.planning import polish as local
 from lime_planner.planning import roadmap as graph
+from lime_planner.planning.detour import Detours
 from lime_planner.planning.lime_options import LimeOptions
 from lime_planner.planning.random import random_state
 from lime_planner.space import edge, evaluate
@@ -23,6 +24,7 @@ Array = npt.NDArray[np.float64]
 
 _SLICE_S = 0.004
 _PROMISING = 0.95  # share of the best cost below which a way out that was not reached is tried again
+_EDGES_IN_ONE_GO = 40  # edges among leaves take a millisecond each at worst
 _JOINED_FIRST = 6
 _LONGEST = 16  # such tries take at most so many times the first one's samples
 _FIRST_TRIALS = 20  # ways out tried for each goal before the worse half is left aside; then twice as many for the others
@@ -52,7 +54,8 @@ class Run:
         escapes: way out of each goal, the start's in the last place.
         tracks: paths being polished; the last place is for loading.
         joins: (G,) times that a goal's way out was tried to be reached.
-        best_path, best_cost: so far.
+        best_path, best_cost, best_segments: so far; (M - 1,) costs of the edges.
+        rounds: how many there were.
         ended: what ended the run, None while it goes on.
     """
 
@@ -93,7 +96,10 @@ class Run:
         self._budget, self._over = iterations, over
         self.best_cost = math.inf
         self.best_path: Array | None = None
-        self._segments: Array = np.zeros(0)
+        self.best_segments: Array = np.zeros(0)
+        self.everywhere: Array = np.zeros((0, n + 1))  # no ball is closed
+        self.detours = Detours(n)
+        self.rounds = 0
         self._rooted: tuple[bytes, bool] | None = None
         self.history: list[tuple[float, int, float]] = []
         self.began = time.monotonic()
@@ -117,13 +123,13 @@ class Run:
         if self.tracks.cost[t] < self.best_cost:
             self.best_cost = float(self.tracks.cost[t])
             self.best_path = self.tracks.points[t, : self.tracks.size[t]].copy()
-            self._segments = self.tracks.segment[t, : self.tracks.size[t] - 1].copy()
+            self.best_segments = self.tracks.segment[t, : self.tracks.size[t] - 1].copy()
             self.history.append((self.elapsed(), self.iterations, self.best_cost))
 
-    def adopt(self, count: int, bound: float = math.inf) -> int:
-        """Load the path in `self.path` into the worst track, if it is cheaper than that one and than `bound`; the track or -1."""
+    def adopt(self, count: int, *, instead: bool = False) -> int:
+        """Load the path in `self.path` into the worst track, if it is cheaper than that one, or instead of it; the track or -1."""
         worst = int(np.argmax(self.tracks.cost[:-1]))
-        limit = min(bound, float(self.tracks.cost[worst]))
+        limit = math.inf if instead else float(self.tracks.cost[worst])
         spare = self.options.tracks
         if not local.load_track(self.space, self.tracks, spare, self.path, count, self.options.weight, self.most / 4, limit):
             return -1
@@ -154,6 +160,18 @@ class Run:
         """The roadmap's vertex of the goal that track t ends at."""
         end = self.tracks.points[t, self.tracks.size[t] - 1]
         return 1 + int(np.argmin(((self.goals - end) ** 2).sum(axis=1)))
+
+    def search(self, bound: float, closed: Array, edges: int | None = None) -> int:
+        """Search the roadmap for a path cheaper than `bound`, around closed balls; the number of waypoints in `self.path`, or 0.
+
+        At most `edges` edges are evaluated; a search that would take more finds nothing.
+        """
+        graph.begin_search(self.space, self.road, self.options.weight, bound, closed)
+        while not graph.continue_search(self.space, self.road, self.options.weight, bound, closed, _EDGES_IN_ONE_GO):
+            edges = None if edges is None else edges - _EDGES_IN_ONE_GO
+            if self.over() or (edges is not None and edges <= 0):
+                return 0
+        return int(graph.read_path(self.road, self.path))
 
     # --- trees ----------------------------------------------------------------------------------------------------------------
 
@@ -285,7 +303,7 @@ class Run:
     def _from_best_path(self, end: Array, cost: float) -> int:
         """Reach the end of a way out straight from a waypoint of the best path; the number of waypoints in `self.path`, or 0."""
         path = self.start[None] if self.best_path is None else self.best_path
-        to_come = np.concatenate([[0.0], np.cumsum(self._segments)])
+        to_come = np.concatenate([[0.0], np.cumsum(self.best_segments)])
         best, count = self.best_cost - cost, 0
         for i in range(min(len(path) - 1, _TRIED) or 1):
             come = float(to_come[i])

@@ -8,7 +8,7 @@ Four parts work in turn, each in compiled slices of a few milliseconds:
    shows which goal and which side of a branch is cheap;
 4. a roadmap that grows by batches (`roadmap`), sampled in the whole box, around the goals and around the best paths, is searched
    lazily; what it finds becomes a new path to polish. Uniform samples and k ~ log N neighbours make the whole asymptotically
-   optimal (as PRM*, Karaman and Frazzoli 2011).
+   optimal (as PRM*, Karaman and Frazzoli 2011). Now and then it is searched for a path through another gap (`detour`).
 
 A sample or a path that cannot lead below the best cost is pruned: the straight distance bounds every cost from below.
 """
@@ -38,7 +38,7 @@ Array = npt.NDArray[np.float64]
 
 # Shares of the roadmap's samples; the others fall around the paths.
 _UNIFORM, _AT_GOALS = 0.6, 0.08
-_EDGES_IN_ONE_GO = 40  # edges among leaves take a millisecond each at worst
+_DETOURS = 3  # rounds between two of them
 _REDRAWN = 30  # times a sample that cannot be part of a better path is drawn again
 
 
@@ -209,7 +209,7 @@ def _first_paths(run: Run) -> None:
 
 
 def _round(run: Run) -> None:
-    """One batch of roadmap samples with its search, then more ways out, then polishing of the tracks."""
+    """One batch of roadmap samples with its search, at times one for a detour, then more ways out, then polishing of the tracks."""
     o = run.options
     if run.road.size[0] + o.batch + local.MAX_WAYPOINTS > len(run.road.rows) or 2 * run.road.size[1] > len(run.road.length):
         run.road = graph.enlarged(run.road)
@@ -228,13 +228,14 @@ def _round(run: Run) -> None:
         goal = run.goal_vertex(best_track)
         count = int(run.tracks.size[best_track])
         graph.add_path(run.space, run.road, run.tracks.points[best_track], run.tracks.segment[best_track], count, goal)
-    graph.begin_search(run.space, run.road, o.weight, run.best_cost)
-    while not graph.continue_search(run.space, run.road, o.weight, run.best_cost, _EDGES_IN_ONE_GO):
-        if run.over():
-            return
-    count = graph.read_path(run.road, run.path)
+    count = run.search(run.best_cost, run.everywhere)
     if count:
         run.adopt(count)
+    run.rounds += 1
+    if run.rounds % _DETOURS == 0 and not run.over():
+        run.detours.look(run, 2 * o.batch)
+    if run.over():
+        return
     run.improve_ways_out(4, o.batch // 2)
     trials = int(o.polish * len(run.start) * o.batch)
     alive = np.argsort(run.tracks.cost)[: o.tracks]

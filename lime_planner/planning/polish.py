@@ -20,6 +20,12 @@ Array = npt.NDArray[np.float64]
 MAX_WAYPOINTS = 96
 _GAIN = 1e-9  # a change must be better by this share of the cost
 _TRIALS_UP, _TRIALS_DOWN = 1.6, 0.87  # step control of moved waypoints: the one-fifth success rule
+_FINEST = 0.03  # how far below the least step that control may go
+# Shares of the trials: new waypoints (of these two at once), shortcuts, two waypoints moved alike; the others move one.
+_NEW, _NEW_PAIRS, _SHORTCUTS, _PAIRS = 0.35, 0.3, 0.15, 0.15
+_AT_BORDERS = 0.5  # share of the new waypoints that are put where leaves begin or end: there the best paths have their bends
+_FINER = 0.3  # their step, over that of the others
+_HALVINGS = 7  # for finding such a place
 
 
 class Tracks(NamedTuple):
@@ -30,7 +36,7 @@ class Tracks(NamedTuple):
         segment: (T, W) exact cost of the edge to the next waypoint.
         step: (T, W) standard deviation of the next move of a waypoint.
         cost: (T,) sums of the segments, inf for an empty track.
-        trial: (n,) scratch.
+        trial, second: (n,) scratch.
     """
 
     points: Array
@@ -39,6 +45,7 @@ class Tracks(NamedTuple):
     step: Array
     cost: Array
     trial: Array
+    second: Array
 
 
 def new_tracks(tracks: int, n: int) -> Tracks:
@@ -49,6 +56,7 @@ def new_tracks(tracks: int, n: int) -> Tracks:
         np.zeros((tracks, MAX_WAYPOINTS)),
         np.zeros((tracks, MAX_WAYPOINTS)),
         np.full(tracks, np.inf),
+        np.zeros(n),
         np.zeros(n),
     )
 
@@ -162,42 +170,139 @@ def _move(space: Any, tracks: Any, t: int, weight: float, least: float, random: 
             tracks.segment[t, i - 1] = first
             tracks.segment[t, i] = second
             sum_cost(tracks, t)
-    tracks.step[t, i] = max(least, step * (_TRIALS_UP if good else _TRIALS_DOWN))
+    tracks.step[t, i] = max(_FINEST * least, step * (_TRIALS_UP if good else _TRIALS_DOWN))
     return good
 
 
 @kernel
-def _insert(space: Any, tracks: Any, t: int, weight: float, least: float, most: float, random: Any) -> bool:
-    """Try a new waypoint beside an edge chosen by its cost."""
+def _border(space: Any, a: Any, b: Any, share: float, other: float, scratch: Any) -> float:
+    """Share of an edge at which leaves begin or end between two shares of it, by bisection; the first share where none does."""
+    n = a.shape[0]
+    for k in range(n):
+        scratch[k] = a[k] + share * (b[k] - a[k])
+    inside = evaluate(space, scratch) > 0.0
+    for k in range(n):
+        scratch[k] = a[k] + other * (b[k] - a[k])
+    if (evaluate(space, scratch) > 0.0) == inside:
+        return share
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (share + other)
+        for k in range(n):
+            scratch[k] = a[k] + middle * (b[k] - a[k])
+        if (evaluate(space, scratch) > 0.0) == inside:
+            share = middle
+        else:
+            other = middle
+    return 0.5 * (share + other)
+
+
+@kernel
+def _three_edges(space: Any, a: Any, b: Any, c: Any, d: Any, weight: float, limit: float) -> tuple[float, float, float]:
+    """Costs of a → b, b → c and c → d if their sum stays below the limit, else inf for the first."""
+    rest = distance(space, c, d)
+    first, second = _two_edges(space, a, b, c, weight, limit - rest)
+    if first == np.inf:
+        return np.inf, np.inf, np.inf
+    third = edge(space, c, d, weight, limit - first - second)
+    if first + second + third >= limit:
+        return np.inf, np.inf, np.inf
+    return first, second, third
+
+
+@kernel
+def _move_two(space: Any, tracks: Any, t: int, weight: float, least: float, random: Any) -> bool:
+    """Try to move two neighbouring waypoints alike."""
     m = tracks.size[t]
-    if m >= MAX_WAYPOINTS or m < 2:
+    if m < 4:
+        return _move(space, tracks, t, weight, least, random)
+    i = 1 + below(random, m - 3)
+    step = math.sqrt(tracks.step[t, i] * tracks.step[t, i + 1])
+    limit = (tracks.segment[t, i - 1] + tracks.segment[t, i] + tracks.segment[t, i + 1]) * (1.0 - _GAIN)
+    n = tracks.trial.shape[0]
+    for k in range(n):
+        d = step * normal(random)
+        tracks.trial[k] = min(max(tracks.points[t, i, k] + d, space.lower[k]), space.upper[k])
+        tracks.second[k] = min(max(tracks.points[t, i + 1, k] + d, space.lower[k]), space.upper[k])
+    good = evaluate(space, tracks.trial) >= 0.0 and evaluate(space, tracks.second) >= 0.0
+    if good:
+        first, second, third = _three_edges(
+            space, tracks.points[t, i - 1], tracks.trial, tracks.second, tracks.points[t, i + 2], weight, limit
+        )
+        good = first < np.inf
+        if good:
+            tracks.points[t, i] = tracks.trial
+            tracks.points[t, i + 1] = tracks.second
+            tracks.segment[t, i - 1] = first
+            tracks.segment[t, i] = second
+            tracks.segment[t, i + 1] = third
+            sum_cost(tracks, t)
+    for j in range(i, i + 2):
+        tracks.step[t, j] = max(_FINEST * least, tracks.step[t, j] * (_TRIALS_UP if good else _TRIALS_DOWN))
+    return good
+
+
+@kernel
+def _make_room(tracks: Any, t: int, i: int, count: int) -> None:
+    """Shift the waypoints behind waypoint i of a track by `count` places."""
+    for k in range(tracks.size[t] - 1 + count, i + count, -1):
+        tracks.points[t, k] = tracks.points[t, k - count]
+        tracks.step[t, k] = tracks.step[t, k - count]
+        tracks.segment[t, k] = tracks.segment[t, k - count]
+    tracks.size[t] += count
+
+
+@kernel
+def _insert(space: Any, tracks: Any, t: int, weight: float, least: float, most: float, two: bool, random: Any) -> bool:
+    """Try one new waypoint, or two, beside an edge chosen by its cost.
+
+    Around a corner among leaves one alone may cost more wherever it is put, and two cost less.
+    """
+    m = tracks.size[t]
+    if m + 2 > MAX_WAYPOINTS or m < 2:
         return False
     pick = uniform(random) * tracks.cost[t]
     i = 0
     while i < m - 2 and pick >= tracks.segment[t, i]:
         pick -= tracks.segment[t, i]
         i += 1
-    share = uniform(random)
-    step = least * math.exp(uniform(random) * math.log(most / least))
     a = tracks.points[t, i]
     b = tracks.points[t, i + 1]
-    for k in range(a.shape[0]):
+    share = uniform(random)
+    step = least * math.exp(uniform(random) * math.log(most / least))
+    if two or uniform(random) < _AT_BORDERS:
+        share = _border(space, a, b, share, uniform(random), tracks.trial)
+        step *= _FINER
+    limit = tracks.segment[t, i] * (1.0 - _GAIN)
+    n = a.shape[0]
+    for k in range(n):
         tracks.trial[k] = a[k] + share * (b[k] - a[k]) + step * normal(random)
         tracks.trial[k] = min(max(tracks.trial[k], space.lower[k]), space.upper[k])
     if evaluate(space, tracks.trial) < 0.0:
         return False
-    first, second = _two_edges(space, a, tracks.trial, b, weight, tracks.segment[t, i] * (1.0 - _GAIN))
-    if first == np.inf:
-        return False
-    for k in range(m, i + 1, -1):
-        tracks.points[t, k] = tracks.points[t, k - 1]
-        tracks.step[t, k] = tracks.step[t, k - 1]
-        tracks.segment[t, k] = tracks.segment[t, k - 1]
+    if not two:
+        first, second = _two_edges(space, a, tracks.trial, b, weight, limit)
+        if first == np.inf:
+            return False
+        _make_room(tracks, t, i, 1)
+    else:
+        length = distance(space, a, b)
+        further = min(1.0, share + 3.0 * step * uniform(random) / max(length, 1e-9))
+        for k in range(n):
+            tracks.second[k] = a[k] + further * (b[k] - a[k]) + step * normal(random)
+            tracks.second[k] = min(max(tracks.second[k], space.lower[k]), space.upper[k])
+        if evaluate(space, tracks.second) < 0.0:
+            return False
+        first, second, third = _three_edges(space, a, tracks.trial, tracks.second, b, weight, limit)
+        if first == np.inf:
+            return False
+        _make_room(tracks, t, i, 2)
+        tracks.points[t, i + 2] = tracks.second
+        tracks.step[t, i + 2] = step
+        tracks.segment[t, i + 2] = third
     tracks.points[t, i + 1] = tracks.trial
     tracks.step[t, i + 1] = step
     tracks.segment[t, i] = first
     tracks.segment[t, i + 1] = second
-    tracks.size[t] = m + 1
     sum_cost(tracks, t)
     return True
 
@@ -216,9 +321,11 @@ def polish(space: Any, tracks: Any, t: int, trials: int, weight: float, least: f
     """
     for _ in range(trials):
         kind = uniform(random)
-        if tracks.size[t] < 3 or kind < 0.35:
-            _insert(space, tracks, t, weight, least, most, random)
-        elif kind < 0.5:
+        if tracks.size[t] < 3 or kind < _NEW:
+            _insert(space, tracks, t, weight, least, most, uniform(random) < _NEW_PAIRS, random)
+        elif kind < _NEW + _SHORTCUTS:
             _shortcut(space, tracks, t, weight, random)
+        elif kind < _NEW + _SHORTCUTS + _PAIRS:
+            _move_two(space, tracks, t, weight, least, random)
         else:
             _move(space, tracks, t, weight, least, random)

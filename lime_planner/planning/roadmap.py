@@ -243,8 +243,27 @@ def _estimate(roadmap: Any, e: int, weight: float) -> Any:
 
 
 @kernel
-def _expand(space: Any, roadmap: Any, v: int, weight: float, best: float) -> None:
-    """Queue the edges at a vertex that may be part of a path cheaper than `best`."""
+def _passes(a: Any, b: Any, balls: Any) -> bool:
+    """Whether a straight line meets one of the balls (B, n + 1): centre and radius."""
+    n = a.shape[0]
+    for i in range(balls.shape[0]):
+        along = 0.0
+        length = 0.0
+        for k in range(n):
+            along += (balls[i, k] - a[k]) * (b[k] - a[k])
+            length += (b[k] - a[k]) ** 2
+        share = min(max(along / length, 0.0), 1.0) if length > 0.0 else 0.0
+        gap = 0.0
+        for k in range(n):
+            gap += (a[k] + share * (b[k] - a[k]) - balls[i, k]) ** 2
+        if gap < balls[i, n] ** 2:
+            return True
+    return False
+
+
+@kernel
+def _expand(space: Any, roadmap: Any, v: int, weight: float, best: float, balls: Any) -> None:
+    """Queue the edges at a vertex that may be part of a path cheaper than `best` and meet none of the balls."""
     start = roadmap.rows[START]
     half = roadmap.first[v]
     while half >= 0:
@@ -254,15 +273,15 @@ def _expand(space: Any, roadmap: Any, v: int, weight: float, best: float) -> Non
             reach = roadmap.to_come[v] + _estimate(roadmap, e, weight)
             if reach < roadmap.to_come[u]:
                 key = reach + distance(space, roadmap.rows[u], start)
-                if key < best:
+                if key < best and not _passes(roadmap.rows[v], roadmap.rows[u], balls):
                     # The half edge that leads from u back to v.
                     _push(roadmap, key, 2 * e + (1 - half % 2))
         half = roadmap.after[half]
 
 
 @kernel
-def begin_search(space: Any, roadmap: Any, weight: float, best: float) -> None:
-    """Start a search of the whole roadmap for a path cheaper than `best`."""
+def begin_search(space: Any, roadmap: Any, weight: float, best: float, balls: Any) -> None:
+    """Start a search of the whole roadmap for a path cheaper than `best` that meets none of the balls (B, n + 1)."""
     roadmap.size[3] = 0
     for v in range(roadmap.size[0]):
         roadmap.to_come[v] = np.inf
@@ -270,11 +289,11 @@ def begin_search(space: Any, roadmap: Any, weight: float, best: float) -> None:
     for g in range(1, 1 + roadmap.size[2]):
         roadmap.to_come[g] = 0.0
     for g in range(1, 1 + roadmap.size[2]):
-        _expand(space, roadmap, g, weight, best)
+        _expand(space, roadmap, g, weight, best, balls)
 
 
 @kernel
-def continue_search(space: Any, roadmap: Any, weight: float, best: float, quota: int) -> bool:
+def continue_search(space: Any, roadmap: Any, weight: float, best: float, balls: Any, quota: int) -> bool:
     """Evaluate at most `quota` edges; True when the search has ended (`to_come[START]` is the result)."""
     start = roadmap.rows[START]
     evaluated = 0
@@ -313,7 +332,7 @@ def continue_search(space: Any, roadmap: Any, weight: float, best: float, quota:
             roadmap.to_come[u] = reach
             roadmap.via[u] = half
             if u != START:
-                _expand(space, roadmap, u, weight, limit)
+                _expand(space, roadmap, u, weight, limit, balls)
     return True
 
 
