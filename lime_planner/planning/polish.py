@@ -270,7 +270,9 @@ def _insert(space: Any, tracks: Any, t: int, weight: float, least: float, most: 
     share = uniform(random)
     step = least * math.exp(uniform(random) * math.log(most / least))
     if two or uniform(random) < _AT_BORDERS:
-        share = _border(space, a, b, share, uniform(random), tracks.trial)
+        other = uniform(random)
+        if weight > 0.0:  # otherwise leaves are air
+            share = _border(space, a, b, share, other, tracks.trial)
         step *= _FINER
     limit = tracks.segment[t, i] * (1.0 - _GAIN)
     n = a.shape[0]

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from lime_planner.jit import hot_kernel, inline_kernel
+from lime_planner.jit import inline_kernel
 from lime_planner.robot.contact import leaf_near, place, points_near, touched_patches
 from lime_planner.robot.kinematics import Chain, forward_kinematics
 from lime_planner.robot.self_contact import SELF_CLEARANCE_M, self_clearance
@@ -24,8 +24,8 @@ from lime_planner.scene.fields import Fields, lower_bound, sample
 Array = npt.NDArray[np.float64]
 
 REFINE_M = 0.002  # clearances are exact up to this much above the required one, lower bounds beyond
-DESCEND_M = 0.025  # coarse spheres clearer than this are not looked into: what they overstate would shorten the steps along edges
-FAR_M = 0.1  # a body whose bounding sphere is this clear is not looked at more closely
+DESCEND_M = 0.006  # coarse spheres clearer than this are not looked into: what they overstate would shorten the steps along edges
+FAR_M = 0.025  # a body whose bounding sphere has this much to spare is not looked at more closely
 GRADED_CELL_M = 0.01  # graded leaf cost: the points of one cell of this edge stand for one patch of leaf ...
 GRADED_UNIT = 20.0  # ... and this many touched patches, about one leaf, cost as much as a binary contact
 
@@ -103,7 +103,7 @@ def _scan_body(world: Any, shapes: Any, scratch: Any, b: Any, inside: Any, need:
         stem, leaf = sample(fields, scratch.centres[b, 0], scratch.centres[b, 1], scratch.centres[b, 2])
         stem = lower_bound(stem, h) - shapes.bound[b, 3] - world.stem_radius
         leaf = lower_bound(leaf, h) - shapes.bound[b, 3] - world.leaf_radius
-        if stem > FAR_M and leaf > FAR_M:
+        if stem > need + FAR_M and leaf > FAR_M:
             state.clear[b] = stem
             state.leaf_clear[b] = leaf
             return
@@ -184,9 +184,11 @@ def _leaf_of_body(world: Any, shapes: Any, scratch: Any, b: Any, state: Any) -> 
     return touched / GRADED_UNIT if graded else touched
 
 
-@hot_kernel
+@inline_kernel
 def check(chain: Chain, shapes: Shapes, world: World, scratch: Scratch, q: Array, leaves: bool, floor: float, state: State) -> bool:
     """Check one configuration against everything; body 0, which stands still, against the other bodies only.
+
+    Merged into the two functions that are called by address: hundreds of array fields would be copied at a call.
 
     Args:
         chain, shapes, world, scratch: the arm, its bodies, the obstacles, this thread's memory.

@@ -15,53 +15,82 @@ _LOOK_CLOSER_M = 0.002
 
 
 @inline_kernel
-def _sphere_in_grid(shapes: Any, a: Any, inner: Any, outer: Any, sphere: Any) -> Any:
-    """Lower bound of the distance between body a and a sphere of another body."""
-    x = outer[0, 0] * sphere[0] + outer[0, 1] * sphere[1] + outer[0, 2] * sphere[2] + outer[0, 3] - inner[0, 3]
-    y = outer[1, 0] * sphere[0] + outer[1, 1] * sphere[1] + outer[1, 2] * sphere[2] + outer[1, 3] - inner[1, 3]
-    z = outer[2, 0] * sphere[0] + outer[2, 1] * sphere[1] + outer[2, 2] * sphere[2] + outer[2, 3] - inner[2, 3]
-    px = inner[0, 0] * x + inner[1, 0] * y + inner[2, 0] * z
-    py = inner[0, 1] * x + inner[1, 1] * y + inner[2, 1] * z
-    pz = inner[0, 2] * x + inner[1, 2] * y + inner[2, 2] * z
-    h = shapes.spacing[a]
-    gap = 0.0
+def _relative(inner: Any, outer: Any) -> Any:
+    """Pose of one body in another's frame, row by row: 3 × 4 numbers, the planning frame's turns left out."""
+    x = outer[0, 3] - inner[0, 3]
+    y = outer[1, 3] - inner[1, 3]
+    z = outer[2, 3] - inner[2, 3]
+    return (
+        inner[0, 0] * outer[0, 0] + inner[1, 0] * outer[1, 0] + inner[2, 0] * outer[2, 0],
+        inner[0, 0] * outer[0, 1] + inner[1, 0] * outer[1, 1] + inner[2, 0] * outer[2, 1],
+        inner[0, 0] * outer[0, 2] + inner[1, 0] * outer[1, 2] + inner[2, 0] * outer[2, 2],
+        inner[0, 0] * x + inner[1, 0] * y + inner[2, 0] * z,
+        inner[0, 1] * outer[0, 0] + inner[1, 1] * outer[1, 0] + inner[2, 1] * outer[2, 0],
+        inner[0, 1] * outer[0, 1] + inner[1, 1] * outer[1, 1] + inner[2, 1] * outer[2, 1],
+        inner[0, 1] * outer[0, 2] + inner[1, 1] * outer[1, 2] + inner[2, 1] * outer[2, 2],
+        inner[0, 1] * x + inner[1, 1] * y + inner[2, 1] * z,
+        inner[0, 2] * outer[0, 0] + inner[1, 2] * outer[1, 0] + inner[2, 2] * outer[2, 0],
+        inner[0, 2] * outer[0, 1] + inner[1, 2] * outer[1, 1] + inner[2, 2] * outer[2, 1],
+        inner[0, 2] * outer[0, 2] + inner[1, 2] * outer[1, 2] + inner[2, 2] * outer[2, 2],
+        inner[0, 2] * x + inner[1, 2] * y + inner[2, 2] * z,
+    )
+
+
+@inline_kernel
+def _carry(pose: Any, point: Any) -> tuple[Any, Any, Any]:
+    """Apply such a pose to a point, or to a sphere's centre."""
+    return (
+        pose[0] * point[0] + pose[1] * point[1] + pose[2] * point[2] + pose[3],
+        pose[4] * point[0] + pose[5] * point[1] + pose[6] * point[2] + pose[7],
+        pose[8] * point[0] + pose[9] * point[1] + pose[10] * point[2] + pose[11],
+    )
+
+
+@inline_kernel
+def _box_gap(shapes: Any, a: Any, x: Any, y: Any, z: Any) -> Any:
+    """Squared distance of a place in body a's frame from its grid's box."""
     low = shapes.origin[a]
-    gx = max(low[0] - px, 0.0, px - low[0] - h * (shapes.size[a, 0] - 1))
-    gy = max(low[1] - py, 0.0, py - low[1] - h * (shapes.size[a, 1] - 1))
-    gz = max(low[2] - pz, 0.0, pz - low[2] - h * (shapes.size[a, 2] - 1))
-    gap = math.sqrt(gx * gx + gy * gy + gz * gz)
+    h = shapes.spacing[a]
+    gx = max(low[0] - x, 0.0, x - low[0] - h * (shapes.size[a, 0] - 1))
+    gy = max(low[1] - y, 0.0, y - low[1] - h * (shapes.size[a, 1] - 1))
+    gz = max(low[2] - z, 0.0, z - low[2] - h * (shapes.size[a, 2] - 1))
+    return gx * gx + gy * gy + gz * gz
+
+
+@inline_kernel
+def _sphere_in_grid(shapes: Any, a: Any, pose: Any, sphere: Any) -> Any:
+    """Lower bound of the distance between body a and a sphere of another body, whose pose in a's frame is given."""
+    x, y, z = _carry(pose, sphere)
+    gap = _box_gap(shapes, a, x, y, z)
     if gap > 0.0:
-        return gap + GRID_PADDING_M - sphere[3]
-    return grid_distance(shapes, a, px, py, pz) - sphere[3]
+        return math.sqrt(gap) + GRID_PADDING_M - sphere[3]
+    return grid_distance(shapes, a, x, y, z) - sphere[3]
 
 
 @inline_kernel
 def pair_clearance(shapes: Any, a: int, b: int, inner: Any, outer: Any) -> Any:
     """Clearance between bodies a and b at the poses `inner` and `outer`: spheres of b, its surface points where that is close."""
+    pose = _relative(inner, outer)
+    bound = shapes.bound[b]
+    x, y, z = _carry(pose, bound)
+    reach = bound[3] + SELF_CLEARANCE_M + _LOOK_CLOSER_M
+    gap = _box_gap(shapes, a, x, y, z)
+    if gap > reach * reach:
+        return math.sqrt(gap) + GRID_PADDING_M - bound[3]
     best = CAP_M
     for c in range(shapes.coarse_start[b], shapes.coarse_start[b + 1]):
-        d = _sphere_in_grid(shapes, a, inner, outer, shapes.coarse[c])
+        d = _sphere_in_grid(shapes, a, pose, shapes.coarse[c])
         if d > SELF_CLEARANCE_M + _LOOK_CLOSER_M:
             best = min(best, d)
             continue
         for f in range(shapes.fine_start[c], shapes.fine_start[c + 1]):
-            d = _sphere_in_grid(shapes, a, inner, outer, shapes.fine[f])
+            d = _sphere_in_grid(shapes, a, pose, shapes.fine[f])
             if d > SELF_CLEARANCE_M:
                 best = min(best, d)
                 continue
             for s in range(shapes.surface_start[f], shapes.surface_start[f + 1]):
-                point = shapes.surface[s]
-                x = outer[0, 0] * point[0] + outer[0, 1] * point[1] + outer[0, 2] * point[2] + outer[0, 3] - inner[0, 3]
-                y = outer[1, 0] * point[0] + outer[1, 1] * point[1] + outer[1, 2] * point[2] + outer[1, 3] - inner[1, 3]
-                z = outer[2, 0] * point[0] + outer[2, 1] * point[1] + outer[2, 2] * point[2] + outer[2, 3] - inner[2, 3]
-                d = grid_distance(
-                    shapes,
-                    a,
-                    inner[0, 0] * x + inner[1, 0] * y + inner[2, 0] * z,
-                    inner[0, 1] * x + inner[1, 1] * y + inner[2, 1] * z,
-                    inner[0, 2] * x + inner[1, 2] * y + inner[2, 2] * z,
-                )
-                best = min(best, d)
+                x, y, z = _carry(pose, shapes.surface[s])
+                best = min(best, grid_distance(shapes, a, x, y, z))
                 if best < SELF_CLEARANCE_M:
                     return best
     return best
