@@ -65,7 +65,16 @@ def examine_start(obstacles: Obstacles, checker: ExactChecker, q_start: Array) -
 
 
 def find_goals(obstacles: Obstacles, checker: ExactChecker, T_base_tool: Array, q_start: Array, rng: np.random.Generator) -> Goals:
-    """Solve inverse kinematics and sort the solutions into goals.
+    """Solve inverse kinematics and sort the solutions into goals."""
+    n = obstacles.robot.n
+    ik = solve_ik(obstacles.robot, T_base_tool, q_start, rng, starts=obstacles.settings.ik_starts)
+    if len(ik.solutions) == 0:
+        return Goals(np.zeros((0, n)), np.zeros((0, n)), np.zeros(0), Status.NO_IK_SOLUTION, ik.detail, 0)
+    return sort_out(obstacles, checker, ik.solutions, q_start)
+
+
+def sort_out(obstacles: Obstacles, checker: ExactChecker, solutions: Array, q_start: Array) -> Goals:
+    """Sort solutions of inverse kinematics (S, n), S at least 1, into goals.
 
     The fast model decides: it is right to `MODEL_ERROR_M`, so nothing that clears the stems by a little more is lost. The exact check
     says what blocks the others.
@@ -73,15 +82,12 @@ def find_goals(obstacles: Obstacles, checker: ExactChecker, T_base_tool: Array, 
     settings = obstacles.settings
     n = obstacles.robot.n
     none = np.zeros((0, n))
-    ik = solve_ik(obstacles.robot, T_base_tool, q_start, rng, starts=settings.ik_starts)
-    if len(ik.solutions) == 0:
-        return Goals(none, none, np.zeros(0), Status.NO_IK_SOLUTION, ik.detail, 0)
     space = obstacles.measuring_space()
     margin = obstacles.world.margin
     kept: list[tuple[float, Array, float]] = []
     hits: dict[str, int] = {}
     widest = 0.0  # clearance of those that touch nothing and are too close all the same
-    for q in ik.solutions:
+    for q in solutions:
         clear, own, leaf = measure(space, q)
         if clear < MODEL_ERROR_M or own < SELF_CLEARANCE_M:
             hit = checker.stem_hit(q)
@@ -95,8 +101,8 @@ def find_goals(obstacles: Obstacles, checker: ExactChecker, T_base_tool: Array, 
         words = _IN_WORDS if settings.leaf_policy != "solid" else _IN_WORDS | {"stem": "in a stem or a leaf (leaves are solid)"}
         parts = ", ".join(f"{count} {words[what]}" for what, count in sorted(hits.items()))
         parts += f" ({1e3 * widest:.1f} mm at most)" if "tight" in hits else ""
-        sentence = f"all {len(ik.solutions)} configurations that reach the target are blocked: {parts}"
-        return Goals(none, none, np.zeros(0), Status.GOAL_IN_STEM, sentence, len(ik.solutions))
+        sentence = f"all {len(solutions)} configurations that reach the target are blocked: {parts}"
+        return Goals(none, none, np.zeros(0), Status.GOAL_IN_STEM, sentence, len(solutions))
     kept.sort(key=lambda item: item[0])
     kept = kept[: settings.max_goals]
     start_clear = measure(space, q_start)[0]
@@ -105,7 +111,7 @@ def find_goals(obstacles: Obstacles, checker: ExactChecker, T_base_tool: Array, 
         tight.append((q_start, max(-_OVERHANG_M, start_clear - _BELOW_OWN_M)))  # the exact check has let it pass
     anchors = np.array([q for q, _ in tight]).reshape(-1, n)
     needs = np.array([need for _, need in tight])
-    return Goals(np.array([q for _, q, _ in kept]), anchors, needs, None, "", len(ik.solutions))
+    return Goals(np.array([q for _, q, _ in kept]), anchors, needs, None, "", len(solutions))
 
 
 _IN_WORDS = {
