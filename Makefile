@@ -43,7 +43,8 @@ lint: setup
 
 test: lint
 	@scripts/browser.sh
-	ROS_PYTHON_CHECK_FIELDS=1 $(BIN)/python -m pytest $(PYTEST_ARGS)
+	ROS_PYTHON_CHECK_FIELDS=1 $(BIN)/python -m pytest -m "not alone" -n 2 --dist loadfile $(PYTEST_ARGS)
+	ROS_PYTHON_CHECK_FIELDS=1 $(BIN)/python -m pytest -m alone $(PYTEST_ARGS)
 
 docs: setup
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet

@@ -42,7 +42,16 @@ EXTRAS_REQUIRE = {
     # The 3-D page of `lime-planner view`, and videos of `lime-planner animate`.
     "viewer": ["viser>=1.1", "imageio[ffmpeg]>=2.31"],
     # launch_testing's pytest plugin breaks on pytest 9.
-    "test": ["pytest>=7.4,<9", "hypothesis>=6.90", "ruff>=0.6", "mypy>=1.11", "scipy-stubs", "types-PyYAML", "playwright>=1.40"],
+    "test": [
+        "pytest>=7.4,<9",
+        "pytest-xdist>=3.5",
+        "hypothesis>=6.90",
+        "ruff>=0.6",
+        "mypy>=1.11",
+        "scipy-stubs",
+        "types-PyYAML",
+        "playwright>=1.40",
+    ],
     # The pages of docs/: MkDocs with Material, the Python reference, and the notebook, which the tests run.
     "docs": ["mkdocs-material>=9.5", "mkdocstrings[python]>=0.26", "nbconvert>=7.16", "nbclient>=0.10", "ipykernel>=6.29"],
     # setuptools 80 broke `colcon build --symlink-install`.

@@ -16,6 +16,12 @@ os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
 os.environ.setdefault("MPLBACKEND", "Agg")
 
 
+def pytest_sessionfinish(session: pytest.Session, exitstatus: int) -> None:
+    """Let one half of the suite be empty: the tests that were asked for by name may all be in the other."""
+    if exitstatus == pytest.ExitCode.NO_TESTS_COLLECTED and session.config.option.markexpr:
+        session.exitstatus = pytest.ExitCode.OK
+
+
 def shared_data() -> Path:
     """Folder of the real plant scans: LIME_PLANNER_DATA, else ../shared/data beside the repository; skips the test where it is absent."""
     named = os.environ.get("LIME_PLANNER_DATA")

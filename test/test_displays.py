@@ -32,6 +32,8 @@ from lime_planner.ros.requests import Shown
 from lime_planner.ros.scene_node import SceneNode
 from lime_planner.scene.scene import Scene
 
+pytestmark = pytest.mark.alone
+
 ROOT = Path(__file__).resolve().parent.parent
 
 #: What RViz's displays and Foxglove's panels show.

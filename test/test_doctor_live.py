@@ -20,6 +20,8 @@ from lime_planner.ros.listener import Listener
 from lime_planner.ros.params import snapshot_from
 from lime_planner.ros.status import health_message
 
+pytestmark = pytest.mark.alone
+
 
 @pytest.fixture(scope="module")
 def robot() -> Iterator[Robot]:

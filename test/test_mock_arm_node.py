@@ -25,6 +25,8 @@ from lime_planner.motion.timing import time_path  # noqa: E402
 from lime_planner.robot.builtin import BUILTIN_ARMS  # noqa: E402
 from lime_planner.ros.convert import to_joint_trajectory  # noqa: E402
 
+pytestmark = pytest.mark.alone
+
 DOMAIN = 20 + os.getpid() % 70
 LIMITS = np.full(6, 0.8)
 

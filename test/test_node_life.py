@@ -13,6 +13,8 @@ from std_msgs.msg import String
 
 from lime_planner.ros import qos
 
+pytestmark = pytest.mark.alone
+
 DOMAIN = 60 + os.getpid() % 40
 FORTH = [0.3, 0.0, 0.4, 0.0, 0.0, 0.0, 1.0]
 ENDLESS = [0.3, 9.0, 0.4, 0.0, 0.0, 0.0, 1.0]

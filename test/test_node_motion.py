@@ -17,6 +17,8 @@ from ros_harness import Bench, code_of, execution_code, plan_id, program
 from sensor_msgs.msg import PointCloud2
 from std_srvs.srv import Trigger
 
+pytestmark = pytest.mark.alone
+
 DOMAIN = 60 + os.getpid() % 40
 FORTH = [0.3, 0.0, 0.4, 0.0, 0.0, 0.0, 1.0]
 BACK = [-0.3, 0.0, 0.4, 0.0, 0.0, 0.0, 1.0]

@@ -19,6 +19,8 @@ from lime_planner.poses import matrix_to_pose
 from lime_planner.robot.model import home
 from lime_planner.scene.files import load_scene, load_start
 
+pytestmark = pytest.mark.alone
+
 DOMAIN = 62 + os.getpid() % 38
 
 

@@ -11,6 +11,8 @@ from reliability_rig import Rig, line, masked, rig, written
 from reliability_rows import GOOD, ROWS, Row, fields, some
 from ros_fakes import cloud
 
+pytestmark = pytest.mark.alone
+
 DOMAIN = 60 + os.getpid() % 40
 
 

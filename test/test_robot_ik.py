@@ -54,6 +54,7 @@ def test_solutions_are_solutions(name: str) -> None:
             assert len(others) == 0 or np.abs(wrapped(others - own[0])).max(axis=1).min() >= 0.01
 
 
+@pytest.mark.alone
 @pytest.mark.parametrize("name", ARMS)
 def test_all_branches_are_found(name: str) -> None:
     """Recall of the default number of starts against a run of 4000, over reachable poses."""

@@ -12,6 +12,8 @@ from lime_planner.ros.clouds import check_layout, decode_cloud, encode_cloud
 from lime_planner.ros.refusal import Refusal
 from lime_planner.status import Status
 
+pytestmark = pytest.mark.alone
+
 TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 
 

@@ -19,6 +19,8 @@ from lime_planner.ros.stops import make_stop
 from lime_planner.ros.watch import StemWatch
 from lime_planner.status import Status
 
+pytestmark = pytest.mark.alone
+
 QUICK = {"stillness_time_s": 0.06, "goal_time_s": 0.3, "stillness_timeout_s": 0.5, "execution_lag_s": 0.1}
 
 

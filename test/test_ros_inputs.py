@@ -20,6 +20,8 @@ from lime_planner.ros.inputs import Inputs
 from lime_planner.ros.joints import ArmState, JointHistory
 from lime_planner.status import Status
 
+pytestmark = pytest.mark.alone
+
 NOW_S = 1000.0
 IDENTITY = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]
 

@@ -19,6 +19,8 @@ from lime_planner.parameters import NODE_PARAMETERS, PARAMETERS
 from lime_planner.ros import qos
 from lime_planner.ros.params import NodeParameters, NodeSettings, snapshot_from
 
+pytestmark = pytest.mark.alone
+
 
 @pytest.fixture(scope="module")
 def context() -> Iterator[rclpy.Context]:

@@ -24,6 +24,8 @@ from lime_planner.ros.throttle import Throttle
 from lime_planner.scene.scene import Scene
 from lime_planner.status import Status
 
+pytestmark = pytest.mark.alone
+
 
 def never() -> bool:
     return False

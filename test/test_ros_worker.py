@@ -12,6 +12,8 @@ from lime_planner.ros.refusal import Refusal
 from lime_planner.ros.worker import Answer, Ticket, Worker
 from lime_planner.status import Status
 
+pytestmark = pytest.mark.alone
+
 DONE = Answer(Status.SUCCEEDED, "done")
 
 

@@ -14,6 +14,8 @@ from lime_planner.scene.plant import PlantOptions, generate_plant
 from lime_planner.scene.scene import Scene
 from lime_planner.scene.voxels import displacement, lonely, thin, warm_up
 
+pytestmark = pytest.mark.alone
+
 
 @pytest.fixture(scope="module")
 def plant():

@@ -8,6 +8,8 @@ import pytest
 from ros_harness import ROOT
 from shutdown import SIGNALS, run
 
+pytestmark = pytest.mark.alone
+
 
 def test_every_signal_ends_the_node_cleanly(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(ROOT)

@@ -7,6 +7,8 @@ import os
 import pytest
 from soak import soak
 
+pytestmark = pytest.mark.alone
+
 DOMAIN = 1 + os.getpid() % 90
 
 

@@ -17,6 +17,8 @@ from lime_planner.viewer.backend import Activity
 from lime_planner.viewer.desk import Desk
 from lime_planner.viewer.page import Page
 
+pytestmark = pytest.mark.alone
+
 
 def until(holds: Callable[[], bool], what: str, timeout_s: float = 60.0) -> None:
     deadline = time.monotonic() + timeout_s
@@ -205,6 +207,6 @@ def test_reload_and_second_browser(browser: Browser, planned: Tab, served: Page)
 def test_layers_on_demand(planned: Tab, served: Page) -> None:
     planned.page.get_by_text("Show", exact=True).first.click()
     for name in ("Search tree", "Collision spheres"):
-        planned.page.get_by_label(name, exact=True).check()
+        planned.page.get_by_label(name, exact=True).click()  # not check(): a busy page shows the tick later than that waits for
     until(lambda: served._extras._tree is not None and bool(served._extras._spheres), "tree and spheres")
     assert any("search tree" in note for note in served._extras.notes)
