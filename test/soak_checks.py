@@ -185,7 +185,8 @@ class Judge:
             off_arm = np.ones(len(points), dtype=bool)
             for q in self._around(self.world.since_s):
                 off_arm &= self._surface.distance(points, q, within_m=PADDING_M + 0.003) > PADDING_M + 0.002
-            sphere = {"exclusion_centre": target, "exclusion_radius_m": EXCLUSION_M, "approach_zone_m": APPROACH_M}
+            # A tenth of a millimetre more: twigs end on the sphere, and a status rounds the target's place.
+            sphere = {"exclusion_centre": target, "exclusion_radius_m": EXCLUSION_M + 1e-4, "approach_zone_m": APPROACH_M}
             self._checker = self.world, place, ExactChecker(self.robot, points[off_arm], point_radius_m=STEM_RADIUS_M, **sphere)
         return self._checker[2]
 
