@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import subprocess
-import sys
 import time
 from functools import cache
 from typing import Any
@@ -333,41 +331,3 @@ def test_follow_backs_out_the_same_way() -> None:
     for bad in (result.waypoints[:1], result.waypoints[:, :5], np.full((3, 6), np.nan), np.zeros(6)):
         with pytest.raises(ProblemError, match="path"):
             pipeline_of().follow(bad, scene, T, used)
-
-
-_AFTER_WARM_UP = """
-import sys
-import numpy as np
-from numba.core.dispatcher import Dispatcher
-from lime_planner.parameters import PLANNERS, settings_from
-from lime_planner.pipeline import Pipeline
-from lime_planner.poses import pose_to_matrix
-from lime_planner.robot.model import home, load_robot
-from lime_planner.scene.plant import generate_plant
-
-def ready():
-    modules = [module for name, module in sys.modules.items() if name.startswith("lime_planner.")]
-    kernels = {value for module in modules for value in vars(module).values() if isinstance(value, Dispatcher)}
-    return {(kernel.__module__, kernel.__name__, str(types)) for kernel in kernels for types in kernel.overloads}
-
-robot = load_robot("kinova_j2s6s200")
-pipeline = Pipeline(robot)
-scene = generate_plant(np.random.default_rng(7))
-pipeline.warm_up()
-before = ready()
-for planner in PLANNERS:
-    settings = settings_from({"planner": planner, "iterations": 1500})
-    print(planner, pipeline.plan(scene, pose_to_matrix(scene.target_pose), home(robot), settings, seed=1).message)
-print(len(before), "kernels were ready")
-for module, name, _ in sorted(ready() - before):
-    print("MISSED", module, name)
-"""
-
-
-def test_no_plan_after_the_warm_up_waits_for_the_compiler() -> None:
-    # A kernel that the warm-up forgot is compiled inside the first search, and takes a second of its half.
-    done = subprocess.run([sys.executable, "-c", _AFTER_WARM_UP], capture_output=True, text=True, timeout=900, check=False)
-    assert done.returncode == 0, done.stderr
-    assert "lime_star SUCCEEDED" in done.stdout
-    assert int(done.stdout.split(" kernels were ready")[0].split()[-1]) > 20
-    assert "MISSED" not in done.stdout, done.stdout

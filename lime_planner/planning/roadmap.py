@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lime_planner.jit import kernel
+from lime_planner.planning.balls import passes
 from lime_planner.space import distance, edge, evaluate
 
 Array = npt.NDArray[np.float64]
@@ -243,25 +244,6 @@ def _estimate(roadmap: Any, e: int, weight: float) -> Any:
 
 
 @kernel
-def _passes(a: Any, b: Any, balls: Any) -> bool:
-    """Whether a straight line meets one of the balls (B, n + 1): centre and radius."""
-    n = a.shape[0]
-    for i in range(balls.shape[0]):
-        along = 0.0
-        length = 0.0
-        for k in range(n):
-            along += (balls[i, k] - a[k]) * (b[k] - a[k])
-            length += (b[k] - a[k]) ** 2
-        share = min(max(along / length, 0.0), 1.0) if length > 0.0 else 0.0
-        gap = 0.0
-        for k in range(n):
-            gap += (a[k] + share * (b[k] - a[k]) - balls[i, k]) ** 2
-        if gap < balls[i, n] ** 2:
-            return True
-    return False
-
-
-@kernel
 def _expand(space: Any, roadmap: Any, v: int, weight: float, best: float, balls: Any) -> None:
     """Queue the edges at a vertex that may be part of a path cheaper than `best` and meet none of the balls."""
     start = roadmap.rows[START]
@@ -273,7 +255,7 @@ def _expand(space: Any, roadmap: Any, v: int, weight: float, best: float, balls:
             reach = roadmap.to_come[v] + _estimate(roadmap, e, weight)
             if reach < roadmap.to_come[u]:
                 key = reach + distance(space, roadmap.rows[u], start)
-                if key < best and not _passes(roadmap.rows[v], roadmap.rows[u], balls):
+                if key < best and not passes(roadmap.rows[v], roadmap.rows[u], balls):
                     # The half edge that leads from u back to v.
                     _push(roadmap, key, 2 * e + (1 - half % 2))
         half = roadmap.after[half]
