@@ -26,7 +26,7 @@ scene = generate_plant(np.random.default_rng(7))
 pipeline.warm_up()
 before = ready()
 for planner in PLANNERS:
-    settings = settings_from({"planner": planner, "iterations": 1500})
+    settings = settings_from({"planner": planner, "iterations": 5000})
     print(planner, pipeline.plan(scene, pose_to_matrix(scene.target_pose), home(robot), settings, seed=1).message)
 print(len(before), "kernels were ready")
 for module, name, _ in sorted(ready() - before):
