@@ -74,6 +74,10 @@ class Tab:
         field.fill(value)
         field.press("Enter")
 
+    def open(self, label: str) -> None:
+        """Open the choice beside a label."""
+        self._field(label).click()
+
     def _field(self, label: str):  # type: ignore[no-untyped-def]
         row = self.page.get_by_text(label, exact=True).locator("xpath=ancestor::*[.//input][1]")
         return row.locator("input").last

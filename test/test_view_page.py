@@ -212,7 +212,7 @@ def test_layers_on_demand(planned: Tab, served: Page) -> None:
         planned.page.get_by_label(name, exact=True).click()  # not check(): a busy page shows the tick later than that waits for
     until(lambda: served._extras._tree is not None and bool(served._extras._spheres), "tree and spheres")
     assert any("search tree" in note for note in served._extras.notes)
-    planned.page.get_by_role("textbox", name="Distance to").click()
+    planned.open("Distance to")
     planned.page.get_by_role("option", name="stems", exact=True).click()
     until(lambda: served._extras._slice is not None, "the slice")
     assert any("distance to stems" in note for note in served._extras.notes)
@@ -226,8 +226,7 @@ def test_a_slice_shows_the_distances_at_its_height() -> None:
     assert np.ptp(points[:, 2]) == 0.0 and abs(points[0, 2] - 0.302) <= 0.5 * fields.spacing_m + 1e-6
     away = np.linalg.norm(points - stems, axis=1)
     nearest, farthest = colours[np.argmin(away)].astype(int), colours[np.argmax(away)].astype(int)
-    assert nearest.sum() < 150 and farthest.sum() > 400  # dark at the stem, yellow far from it
-    assert farthest[0] > 200 and farthest[2] < 120
+    assert nearest.sum() < 150 and farthest.sum() > 300  # dark at the stem, brighter away from it
     near = away < 0.1
     brightness = colours[near].astype(int).sum(axis=1)[np.argsort(away[near], kind="stable")]
     assert np.corrcoef(np.arange(len(brightness)), brightness)[0, 1] > 0.9
