@@ -76,11 +76,13 @@ class Tab:
 
     def open(self, label: str) -> None:
         """Open the choice beside a label."""
-        self._field(label).click()
+        self._row(label).locator("input:not([type=hidden])").first.click()
 
     def _field(self, label: str):  # type: ignore[no-untyped-def]
-        row = self.page.get_by_text(label, exact=True).locator("xpath=ancestor::*[.//input][1]")
-        return row.locator("input").last
+        return self._row(label).locator("input").last
+
+    def _row(self, label: str):  # type: ignore[no-untyped-def]
+        return self.page.get_by_text(label, exact=True).locator("xpath=ancestor::*[.//input][1]")
 
     def close(self) -> None:
         self.context.close()

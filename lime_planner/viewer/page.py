@@ -17,7 +17,7 @@ import numpy.typing as npt
 from lime_planner.robot.model import Robot
 from lime_planner.scene.scene import Scene
 from lime_planner.viewer.access import Access
-from lime_planner.viewer.backend import Backend, Moment, Shown, Wishes
+from lime_planner.viewer.backend import Activity, Backend, Moment, Shown, Wishes
 from lime_planner.viewer.controls import Commands, Controls, ask_before_moving
 from lime_planner.viewer.extras import Extras
 from lime_planner.viewer.insight import Insight, look_into
@@ -32,6 +32,7 @@ Array = npt.NDArray[np.float64]
 
 _PERIOD_S = 0.05
 _UNWATCHED_PERIOD_S = 0.5  # when no browser is open
+_PLANNING_PERIOD_S = 0.25  # the search may have the interpreter then
 _BEYOND_REACH_M = 0.35  # of the arm: a wall of the greenhouse would only hide the plant
 
 
@@ -136,20 +137,23 @@ class Page:
 
     def _run(self) -> None:
         while not self._closed.is_set():
-            began_s = time.monotonic()
+            began_s, planning = time.monotonic(), False
             try:
                 while not self._notes.empty():
                     self._notes.get()()
-                self._draw(self._backend.moment())
+                moment = self._backend.moment()
+                planning = moment.activity is Activity.PLANNING
+                self._draw(moment)
             except Exception as error:  # a page that cannot draw must not end a planner that moves an arm
                 self.failure = f"{type(error).__name__}: {error}"
             watched = self._backend.watched = bool(self._server.get_clients())
-            self._closed.wait(max(0.005, (_PERIOD_S if watched else _UNWATCHED_PERIOD_S) - (time.monotonic() - began_s)))
+            period_s = _UNWATCHED_PERIOD_S if not watched else _PLANNING_PERIOD_S if planning else _PERIOD_S
+            self._closed.wait(max(0.005, period_s - (time.monotonic() - began_s)))
 
     def _draw(self, moment: Moment) -> None:
         with self._server.atomic():
             self._draw_standing(moment)
-            if moment.shown is not self._shown:
+            if moment.shown is not self._shown and moment.activity is not Activity.PLANNING:
                 self._draw_plan(moment)
             touched = self._draw_moving(moment)
         self._starting.show(moment)
