@@ -150,7 +150,7 @@ def test_touched_leaves_are_those_that_the_planner_pays_for(shown: Shown, insigh
 def test_search_tree_begins_at_the_arm(shown: Shown, planner: str) -> None:
     chosen = settings(iterations=9000 if planner == "lime_star" else 3000, planner=planner)  # paths come before the roadmap
     grown = grow_again(pipeline_of(), Shown(1, shown.scene, chosen, shown.target, shown.result))
-    assert 50 < len(grown.segments) <= grown.total and grown.segments.shape[1:] == (2, 3)
+    assert 50 < len(grown.segments) <= grown.total and grown.segments.shape[2:] == (2, 3)
     assert len(grown.leafy) == len(grown.segments)
     start = robot_named().forward(shown.result.waypoints[0])[:3, 3]
     assert np.linalg.norm(grown.segments.reshape(-1, 3) - start, axis=1).min() < 1e-5

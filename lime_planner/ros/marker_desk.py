@@ -108,12 +108,12 @@ class MarkerDesk(Attendant):
         return self._closed or self._busy() or self._newest is None or self._newest[0] is not shown
 
     def _tree(self, shown: Shown, target: npt.NDArray[np.float64], loaded: Loaded) -> npt.NDArray[np.float32]:
-        """Return tool positions of the search tree's edges, (E, 2, 3): the search runs once more, with its own seed."""
+        """Return tool positions of the pieces of the search tree's edges, (S, 2, 3): the search runs once more, with its own seed."""
         from lime_planner.viewer import backend
         from lime_planner.viewer.grown import grow_again
 
         plan = backend.Shown(0, shown.scene, shown.snapshot.plan, target, shown.result)
-        return grow_again(loaded.pipeline, plan, should_stop=lambda: self._stale(shown)).segments
+        return grow_again(loaded.pipeline, plan, should_stop=lambda: self._stale(shown)).segments.reshape(-1, 2, 3)
 
 
 def _extras(shown: Shown, loaded: Loaded) -> Extras:

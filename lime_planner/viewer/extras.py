@@ -75,9 +75,10 @@ class Extras:
         thin = "" if len(grown.segments) == grown.total else f"{len(grown.segments):,} of "
         self._tree_note = f"search tree: {thin}{grown.total:,} edges" if grown.total else "search tree: empty, first paths took all time"
         if grown.total:
-            colours = np.where(grown.leafy[:, None, None], rgb(LEAFY_PATH), rgb(FREE_PATH)).astype(np.uint8)
+            colours = np.where(grown.leafy[:, None, None, None], rgb(LEAFY_PATH), rgb(FREE_PATH)).astype(np.uint8)
+            colours = np.broadcast_to(colours, grown.segments.shape).reshape(-1, 2, 3)
             self._tree = self._api.add_line_segments(
-                "/tree", grown.segments, np.broadcast_to(colours, grown.segments.shape), thickness=1.0, thickness_units="screen"
+                "/tree", grown.segments.reshape(-1, 2, 3), colours, thickness=1.0, thickness_units="screen"
             )
 
     def _draw_spheres(self, pipeline: Pipeline | None, ghost: Arm | None) -> None:

@@ -19,7 +19,8 @@ from lime_planner.viewer.backend import Shown
 
 Array = npt.NDArray[np.float64]
 
-EDGES_SHOWN = 4000
+EDGES_SHOWN = 400  # more hide the plant
+_PIECES = 8  # straight in joint space, an edge is a curve for the tool
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,7 +28,7 @@ class Grown:
     """A search tree as the tool's positions see it.
 
     Attributes:
-        segments: (E, 2, 3) tool positions at both ends of each edge [m].
+        segments: (E, P, 2, 3) tool positions at both ends of the pieces of each edge [m].
         leafy: (E,) whether the edge's cost holds leaves.
         total: edges that there were; more than E where they were thinned.
     """
@@ -47,7 +48,7 @@ def grow_again(pipeline: Pipeline, shown: Shown, *, should_stop: Callable[[], bo
     """
     result, settings = shown.result, shown.settings
     if shown.target is None or not len(result.waypoints):
-        return Grown(np.zeros((0, 2, 3), np.float32), np.zeros(0, bool), 0)
+        return Grown(np.zeros((0, _PIECES, 2, 3), np.float32), np.zeros(0, bool), 0)
     q = result.waypoints[0]
     obstacles = pipeline.obstacles(shown.scene, shown.target[:3], settings)
     goals = find_goals(obstacles, obstacles.exact_checker(), pose_to_matrix(shown.target), q, np.random.default_rng(result.seed))
@@ -65,8 +66,11 @@ def grow_again(pipeline: Pipeline, shown: Shown, *, should_stop: Callable[[], bo
         )
     rows, ends, leafy = _edges(seen[0]) if seen else (np.zeros((0, len(q))), np.zeros((0, 2), int), np.zeros(0, bool))
     keep = np.unique(np.linspace(0, max(len(ends) - 1, 0), min(len(ends), EDGES_SHOWN)).round().astype(int))
-    tool = np.array([pipeline.robot.forward(row)[:3, 3] for row in rows], dtype=np.float32).reshape(-1, 3)
-    return Grown(tool[ends[keep]], leafy[keep], len(ends))
+    share = np.linspace(0.0, 1.0, _PIECES + 1)[:, None]
+    tool = np.zeros((len(keep), _PIECES + 1, 3), np.float32)
+    for curve, (a, b) in zip(tool, ends[keep], strict=True):
+        curve[:] = [pipeline.robot.forward(q)[:3, 3] for q in rows[a] + share * (rows[b] - rows[a])]
+    return Grown(np.stack([tool[:, :-1], tool[:, 1:]], axis=2), leafy[keep], len(ends))
 
 
 def _edges(tree: Any) -> tuple[Array, npt.NDArray[np.int64], npt.NDArray[np.bool_]]:
