@@ -6,12 +6,14 @@ import contextlib
 import json
 import os
 import signal
+import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
+from types import FrameType
 from typing import Any, TypeVar
 
 from rich.console import Console
@@ -20,6 +22,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 Task = TypeVar("Task")
 Result = TypeVar("Result")
 
+_LOOK_S = 0.2  # between two looks at whether ctrl-C was pressed
 _IN_FLIGHT = 4  # tasks handed out ahead for each process: busy processes, and little to cancel
 
 
@@ -31,6 +34,28 @@ def default_jobs() -> int:
 def _ignore_interrupt() -> None:
     # The terminal sends ctrl-C to all processes; only the parent decides what it means.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+@contextlib.contextmanager
+def _first_interrupt() -> Iterator[threading.Event]:
+    """Turn the first ctrl-C into an event; the second one interrupts as ever.
+
+    An exception out of nowhere can leave the pool's locks held, and everybody waits for good.
+    """
+    pressed = threading.Event()
+    if threading.current_thread() is not threading.main_thread() or signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
+        yield pressed
+        return
+
+    def note(_number: int, _frame: FrameType | None) -> None:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+        pressed.set()
+
+    signal.signal(signal.SIGINT, note)
+    try:
+        yield pressed
+    finally:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @contextlib.contextmanager
@@ -68,7 +93,8 @@ def run_trials(
         True when all are done; False after ctrl-C: tasks under way are finished and handed over, the others dropped.
     """
     console = console or Console(stderr=True)
-    with progress_bar(description, len(tasks), console) as advance:
+    told = partial(console.print, "Stopping: the trials under way are finished and kept (ctrl-C again drops them).")
+    with progress_bar(description, len(tasks), console) as advance, _first_interrupt() as pressed:
 
         def done(result: Result) -> None:
             on_result(result)
@@ -77,13 +103,14 @@ def run_trials(
         if jobs <= 1:
             try:
                 for task in tasks:
+                    if pressed.is_set():
+                        return False
                     done(function(task))
             except KeyboardInterrupt:
                 return False
             return True
         with ProcessPoolExecutor(jobs, mp_context=get_context("spawn"), initializer=_ignore_interrupt) as pool:
-            told = partial(console.print, "Stopping: the trials under way are finished and kept (ctrl-C again drops them).")
-            return _drain(pool, function, tasks, done, jobs * _IN_FLIGHT, told)
+            return _drain(pool, function, tasks, done, jobs * _IN_FLIGHT, pressed, told)
 
 
 def _drain(
@@ -92,7 +119,8 @@ def _drain(
     tasks: Sequence[Task],
     done: Callable[[Result], None],
     ahead: int,
-    interrupt: Callable[[], None],
+    pressed: threading.Event,
+    tell: Callable[[], None],
 ) -> bool:
     """Keep `ahead` tasks in the pool until all are done, or until ctrl-C."""
     waiting = iter(tasks)
@@ -100,24 +128,22 @@ def _drain(
     interrupted = False
     while True:
         try:
+            if pressed.is_set() and not interrupted:
+                interrupted = True
+                tell()
+                pending = {future for future in pending if not future.cancel()}
             while not interrupted and len(pending) < ahead and (task := next(waiting, None)) is not None:
                 pending.add(pool.submit(function, task))
             if not pending:
                 return not interrupted
-            finished, _ = wait(pending, return_when=FIRST_COMPLETED)
+            finished, _ = wait(pending, timeout=_LOOK_S, return_when=FIRST_COMPLETED)
             for future in finished:
                 pending.discard(future)
                 done(future.result())
         except BrokenProcessPool:
-            if not interrupted:
+            if not pressed.is_set():
                 raise
             return False  # ctrl-C met a process that was still starting
-        except KeyboardInterrupt:
-            if interrupted:
-                raise  # a second ctrl-C: leave at once
-            interrupted = True
-            interrupt()
-            pending = {future for future in pending if not future.cancel()}
 
 
 def write_atomically(path: Path, text: str) -> None:
