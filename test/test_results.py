@@ -126,7 +126,7 @@ def test_default_planner_beside_the_papers_by_hand() -> None:
                 costs[t["method"]].append(cost)
                 if t["method"] == "lime_star":
                     ratios.append(cost / best[t["problem"]])
-        assert len(ratios) == 3 * len(data["problems"]) == 60
+        assert len(ratios) == 5 * len(data["problems"]) == 100
         ours, theirs = (np.median(costs[m]) for m in ("lime_star", "apf_rrt_star"))
         assert row[1] == f"{ours:.1f}" and row[2] == ("∞" if math.isinf(theirs) else f"{theirs:.1f}")
         assert (row[3] == "yes") == bool(ours < theirs)
