@@ -18,7 +18,7 @@ import numba.types
 import numpy as np
 import numpy.typing as npt
 
-from lime_planner.jit import overload
+from lime_planner.jit import inline_kernel, overload
 
 N_STATES = 0  #: counter: configurations evaluated one by one
 N_EDGES = 1  #: counter: edges evaluated
@@ -72,6 +72,13 @@ def repulsion(space: Any, q: npt.NDArray[np.float64], d_star: float, k_leaf: flo
 def distance(space: Any, a: npt.NDArray[np.float64], b: npt.NDArray[np.float64]) -> float:
     """Distance between two configurations; a metric, and a lower bound of every edge's cost."""
     raise NotImplementedError("only inside compiled code; see lime_planner.space")
+
+
+@inline_kernel
+def clamp(space: Any, q: Any) -> None:
+    """Move q, (n,), into the sampling box, coordinate by coordinate."""
+    for k in range(q.shape[0]):
+        q[k] = min(max(q[k], space.lower[k]), space.upper[k])
 
 
 @overload(distance)

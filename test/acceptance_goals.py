@@ -28,13 +28,12 @@ from lime_planner.pipeline.search import search
 from lime_planner.poses import pose_to_matrix
 from lime_planner.robot.ik import solve_ik
 from lime_planner.robot.model import home, load_robot
-from lime_planner.scene.plant import PlantOptions, generate_plant
+from lime_planner.scene.plant import DENSITIES, PlantOptions, generate_plant
 from lime_planner.scene.scene import Scene
 from lime_planner.scene.targets import canopy_targets, lime_targets
 
 CLEAR_M = 0.003
 STEP_RAD = 0.01
-DENSITIES = ("sparse", "medium", "dense")
 LEAST_SHARE = 0.95
 
 
@@ -87,7 +86,7 @@ def main(arguments: list[str] | None = None) -> int:
         scene = load_scan(path)
         add("scan", path.stem, scene, canopy_targets(scene, np.random.default_rng(0), options.targets))
     for seed in range(options.plants):
-        density = DENSITIES[seed % len(DENSITIES)]
+        density = tuple(DENSITIES)[seed % len(DENSITIES)]
         scene = generate_plant(np.random.default_rng(seed), PlantOptions(density=density))
         add("plant", f"{density}:{seed}", scene, lime_targets(scene, np.random.default_rng(0))[: options.targets])
     print("| scenes | targets | with free solutions | goals tried | reached | share |\n|---|---|---|---|---|---|")

@@ -57,7 +57,7 @@ def main() -> int:
         nodes.start("scene_node", "lime_planner.ros.scene_node", {"file": str(scene), "rate_hz": 2.0})
         with DemoClient(corner, robot.joint_names, nodes.check) as client:
             commands: list[float] = []
-            node = client._spinning.node
+            node = client.node
             node.create_subscription(JointTrajectory, "joint_trajectory", lambda _: commands.append(time.monotonic()), qos.COMMAND)
             plan = node.create_client(Trigger, "lime_planner/plan")
             retreat = node.create_client(Trigger, "lime_planner/retreat")

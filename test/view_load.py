@@ -19,6 +19,7 @@ import time
 from pathlib import Path
 
 import numpy as np
+from acceptance_requests import call
 from browser import Tab, chromium
 from std_srvs.srv import Trigger
 
@@ -52,7 +53,7 @@ def main() -> int:
         nodes.start("mock_arm_node", "lime_planner.ros.mock_arm_node", {})
         nodes.start("scene_node", "lime_planner.ros.scene_node", {"file": str(scene)})
         with DemoClient(corner, load_robot("kinova_j2s6s200").joint_names, nodes.check) as client:
-            preview = client._spinning.node.create_client(Trigger, "lime_planner/preview")
+            preview = client.node.create_client(Trigger, "lime_planner/preview")
             client.wait(client.planner_serves, 60.0, "the planner's service")
             client.wait(lambda: client.engine == "ready", 600.0, "the planner to be ready")
             time.sleep(3.0)
@@ -66,9 +67,7 @@ def main() -> int:
                         time.sleep(3.0)
                     for number in range(PREVIEWS):
                         began = time.monotonic()
-                        future = preview.call_async(Trigger.Request())
-                        client.wait(future.done, 60.0, "an answer")
-                        answer = future.result()
+                        answer = call(client, preview, 60.0)
                         if not answer.success:
                             print(answer.message)
                             return 1

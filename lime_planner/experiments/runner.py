@@ -90,11 +90,11 @@ def run_trials(
         console: where the bar goes (default: standard error).
 
     Returns:
-        True when all are done; False after ctrl-C: tasks under way are finished and handed over, the others dropped.
+        True when all are done; False after ctrl-C: what runs in other processes is finished and handed over, the others dropped.
     """
     console = console or Console(stderr=True)
     told = partial(console.print, "Stopping: the trials under way are finished and kept (ctrl-C again drops them).")
-    with progress_bar(description, len(tasks), console) as advance, _first_interrupt() as pressed:
+    with progress_bar(description, len(tasks), console) as advance:
 
         def done(result: Result) -> None:
             on_result(result)
@@ -103,13 +103,14 @@ def run_trials(
         if jobs <= 1:
             try:
                 for task in tasks:
-                    if pressed.is_set():
-                        return False
                     done(function(task))
             except KeyboardInterrupt:
                 return False
             return True
-        with ProcessPoolExecutor(jobs, mp_context=get_context("spawn"), initializer=_ignore_interrupt) as pool:
+        with (
+            _first_interrupt() as pressed,
+            ProcessPoolExecutor(jobs, mp_context=get_context("spawn"), initializer=_ignore_interrupt) as pool,
+        ):
             return _drain(pool, function, tasks, done, jobs * _IN_FLIGHT, pressed, told)
 
 

@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from lime_planner.jit import kernel
 from lime_planner.planning.random import normal, uniform
-from lime_planner.space import edge, evaluate
+from lime_planner.space import clamp, edge, evaluate
 
 Array = npt.NDArray[np.float64]
 
@@ -76,8 +76,7 @@ def improve(space: Any, escapes: Any, g: int, origin: Any, trials: int, weight: 
             length = least * math.exp(uniform(random) * math.log(most / least)) / math.sqrt(max(total, 1e-12))
             for k in range(n):
                 q[k] = origin[k] + length * q[k]
-        for k in range(n):
-            q[k] = min(max(q[k], space.lower[k]), space.upper[k])
+        clamp(space, q)
         good = evaluate(space, q) == 0.0
         if good:
             cost = edge(space, origin, q, weight, escapes.cost[g])

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lime_planner.jit import hot_kernel
-from lime_planner.space import distance, repulsion
+from lime_planner.space import clamp, distance, repulsion
 
 Array = npt.NDArray[np.float64]
 
@@ -116,5 +116,4 @@ def shift_sample(space: Any, field: Any, goals: Any, q: Any, step: float, steps:
             break
         for i in range(n):
             q[i] += step * force[i] / length
-    for i in range(n):
-        q[i] = min(max(q[i], space.lower[i]), space.upper[i])
+    clamp(space, q)

@@ -29,7 +29,7 @@ from lime_planner.planning import roadmap as graph
 from lime_planner.planning.lime_options import LimeOptions, LimeOutcome
 from lime_planner.planning.lime_run import Run, line, one
 from lime_planner.planning.random import below, normal, uniform
-from lime_planner.space import distance, evaluate
+from lime_planner.space import clamp, distance, evaluate
 from lime_planner.status import Status
 
 __all__ = ["LimeOptions", "LimeOutcome", "plan_lime", "warm_up"]
@@ -69,7 +69,8 @@ def _draw(space: Any, road: Any, tracks: Any, least: float, most: float, random:
         for k in range(n):
             q[k] = tracks.points[t, i, k] + share * (tracks.points[t, i + 1, k] - tracks.points[t, i, k])
     for k in range(n):
-        q[k] = min(max(q[k] + step * normal(random), space.lower[k]), space.upper[k])
+        q[k] += step * normal(random)
+    clamp(space, q)
 
 
 @kernel

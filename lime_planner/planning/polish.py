@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from lime_planner.jit import kernel
 from lime_planner.planning.random import below, normal, uniform
-from lime_planner.space import distance, edge, evaluate
+from lime_planner.space import clamp, distance, edge, evaluate
 
 Array = npt.NDArray[np.float64]
 
@@ -148,7 +148,7 @@ def _perturb(space: Any, centre: Any, step: float, random: Any, out: Any) -> boo
         out[k] = centre[k]
         if only >= n or only == k:
             out[k] += step * normal(random)
-        out[k] = min(max(out[k], space.lower[k]), space.upper[k])
+    clamp(space, out)
     return evaluate(space, out) >= 0.0
 
 
@@ -221,8 +221,10 @@ def _move_two(space: Any, tracks: Any, t: int, weight: float, least: float, rand
     n = tracks.trial.shape[0]
     for k in range(n):
         d = step * normal(random)
-        tracks.trial[k] = min(max(tracks.points[t, i, k] + d, space.lower[k]), space.upper[k])
-        tracks.second[k] = min(max(tracks.points[t, i + 1, k] + d, space.lower[k]), space.upper[k])
+        tracks.trial[k] = tracks.points[t, i, k] + d
+        tracks.second[k] = tracks.points[t, i + 1, k] + d
+    clamp(space, tracks.trial)
+    clamp(space, tracks.second)
     good = evaluate(space, tracks.trial) >= 0.0 and evaluate(space, tracks.second) >= 0.0
     if good:
         first, second, third = _three_edges(
@@ -278,7 +280,7 @@ def _insert(space: Any, tracks: Any, t: int, weight: float, least: float, most: 
     n = a.shape[0]
     for k in range(n):
         tracks.trial[k] = a[k] + share * (b[k] - a[k]) + step * normal(random)
-        tracks.trial[k] = min(max(tracks.trial[k], space.lower[k]), space.upper[k])
+    clamp(space, tracks.trial)
     if evaluate(space, tracks.trial) < 0.0:
         return False
     if not two:
@@ -291,7 +293,7 @@ def _insert(space: Any, tracks: Any, t: int, weight: float, least: float, most: 
         further = min(1.0, share + 3.0 * step * uniform(random) / max(length, 1e-9))
         for k in range(n):
             tracks.second[k] = a[k] + further * (b[k] - a[k]) + step * normal(random)
-            tracks.second[k] = min(max(tracks.second[k], space.lower[k]), space.upper[k])
+        clamp(space, tracks.second)
         if evaluate(space, tracks.second) < 0.0:
             return False
         first, second, third = _three_edges(space, a, tracks.trial, tracks.second, b, weight, limit)

@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
@@ -49,6 +50,11 @@ class DemoClient:
         node.create_subscription(DiagnosticArray, "/diagnostics", self._on_health, 10)
         self._plan = node.create_client(Trigger, f"{_PLANNER}/plan", qos_profile=qos.SERVICE)
         self._spinning = Spinning(node)
+
+    @property
+    def node(self) -> Node:
+        """The node, for more subscriptions and clients."""
+        return self._spinning.node
 
     @property
     def states(self) -> Array:

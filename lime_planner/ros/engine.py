@@ -76,7 +76,7 @@ class Engine(Attendant):
             on_loaded: is told about each new model before it is used.
             report: log: (whether it is an error, sentence).
         """
-        super().__init__()
+        super().__init__("engine")
         self._builder = builder
         self._settings = settings
         self._may_exchange = may_exchange
@@ -88,7 +88,7 @@ class Engine(Attendant):
         self._description: str | None = None
         self._warm = False
         self.state = "waiting for robot_description" if settings.robot == FROM_TOPIC else "loading the robot"
-        self._start("engine")
+        self._start()
 
     @property
     def loaded(self) -> Loaded | None:

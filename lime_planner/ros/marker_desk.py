@@ -51,7 +51,7 @@ class MarkerDesk(Attendant):
             now: the ROS time.
             warn: is told about a picture that could not be drawn.
         """
-        super().__init__()
+        super().__init__("markers")
         self._publisher = publisher
         self._model = model
         self._busy = busy
@@ -59,7 +59,7 @@ class MarkerDesk(Attendant):
         self._warn = warn
         self._newest: tuple[Shown, Loaded | None] | None = None
         self._drawn: Shown | None = None
-        self._start("markers")
+        self._start()
 
     def show(self, shown: Shown) -> None:
         """Take in a plan; it is drawn at once if somebody subscribes."""

@@ -38,7 +38,7 @@ class Extras:
     Attributes:
         goal_arm: (T, 3, 3) triangles of the arm at the path's end [m].
         touched: (P, 3) leaf points that the arm touches on its way [m].
-        tree: (E, 2, 3) tool positions at both ends of the search tree's edges [m].
+        tree: (S, 2, 3) tool positions at both ends of each piece of the search tree's edges [m].
     """
 
     goal_arm: npt.NDArray[np.floating] = field(default_factory=lambda: np.empty((0, 3, 3)))
@@ -99,7 +99,7 @@ class _Picture:
         marker.colors = [_colour(_TOUCHING if leaf else _FREE) for leaf in touching]
 
     def tree(self, edges: npt.NDArray[np.floating]) -> None:
-        """Add the search tree as tool positions of its edges, (E, 2, 3)."""
+        """Add the search tree as tool positions at both ends of each piece of its edges, (S, 2, 3)."""
         if len(edges):
             step = -(-len(edges) // (_SHOWN // 2))
             self._marker("tree", Marker.LINE_LIST, (0.001, 0.0, 0.0), _TREE).points = _points(edges[::step].reshape(-1, 3))

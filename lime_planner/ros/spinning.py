@@ -1,4 +1,4 @@
-"""Spins a client's node in a thread of its own, as long as a `with` block lasts."""
+"""Spins a client's node in a thread of its own, until it is closed."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from rclpy.task import Future
 
 
 class Spinning:
-    """The node, its executor and their thread; leaving the block takes all of them, and the node's context, down."""
+    """The node, its executor and their thread; `close` takes all of them, and the node's context, down."""
 
     def __init__(self, node: Node) -> None:
         """Start to spin; the node is complete."""

@@ -33,12 +33,12 @@ class StemWatch(Attendant):
             look: checks the remaining path against the newest clouds.
             warn: is told about clouds that cannot be used and about defects.
         """
-        super().__init__()
+        super().__init__("stem watch")
         self._execution = execution
         self._look = look
         self._warn = warn
         self._due = False
-        self._start("stem watch")
+        self._start()
 
     def notice(self) -> None:
         """Say that a cloud with stems has arrived."""
