@@ -174,6 +174,22 @@ def test_many_callers_from_many_threads_get_one_answer_each(worker: Worker) -> N
     assert {answer.status for answer in answers.values()} <= {Status.SUCCEEDED, Status.PREEMPTED, Status.CANCELLED}
 
 
+def test_it_tidies_up_after_every_job_even_one_that_failed() -> None:
+    seen: list[int] = []
+    caller = Caller()
+    worker = Worker(lambda trace: None, lambda: seen.append(len(caller.answers)))
+
+    def broken(_ticket: Ticket) -> Answer:
+        raise ZeroDivisionError
+
+    for number, job in enumerate((lambda ticket: DONE, broken), start=1):
+        worker.submit("plan", job, caller)
+        caller.wait(number)
+        assert worker.wait_idle(5.0)
+    assert seen == [1, 2]  # each time the caller had its answer before
+    assert worker.close()
+
+
 def test_closing_answers_everyone() -> None:
     worker, caller = Worker(lambda trace: None), Caller()
 

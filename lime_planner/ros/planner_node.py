@@ -36,6 +36,7 @@ from lime_planner.ros.execution import Ended, Execution
 from lime_planner.ros.frames import make_frames
 from lime_planner.ros.inputs import CLOUDS, Inputs
 from lime_planner.ros.marker_desk import MarkerDesk
+from lime_planner.ros.memory import give_back
 from lime_planner.ros.params import NodeParameters, Snapshot
 from lime_planner.ros.requests import Requests, Shown
 from lime_planner.ros.runner import run_node
@@ -90,7 +91,7 @@ class PlannerNode(Node):
             self._on_end,
             lambda: self.params.snapshot.node.motion_enabled,
         )
-        self.worker = Worker(self.get_logger().error)
+        self.worker = Worker(self.get_logger().error, give_back)
         self.engine = Engine(
             builder,
             settings.plan,

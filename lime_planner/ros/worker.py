@@ -88,13 +88,15 @@ class Ticket:
 class Worker:
     """The thread, its one waiting place, and the request in work."""
 
-    def __init__(self, on_defect: Callable[[str], None]) -> None:
+    def __init__(self, on_defect: Callable[[str], None], tidy: Callable[[], None] = lambda: None) -> None:
         """Start the thread.
 
         Args:
             on_defect: is given the traceback of an exception that a job should not have raised.
+            tidy: is called in the worker's thread after each job, when its caller has the answer; must not raise.
         """
         self._on_defect = on_defect
+        self._tidy = tidy
         self._condition = threading.Condition()
         self._submitting = threading.Lock()  # one submitter at a time: nobody's request is overwritten unanswered
         self._waiting: tuple[Ticket, Callable[[Ticket], Answer]] | None = None
@@ -177,6 +179,8 @@ class Worker:
                 self._current = ticket
             if not ticket.answered:
                 ticket.answer(self._work(ticket, job))
+                del job  # and with it what it holds of its scene
+                self._tidy()
 
     def _work(self, ticket: Ticket, job: Callable[[Ticket], Answer]) -> Answer:
         try:
