@@ -103,7 +103,7 @@ class FakePipeline:
             return FakeResult(Status.NO_IK_SOLUTION, "NO_IK_SOLUTION: out of reach", *nothing, seed)
         return result(q_start, q_start + T_base_tool[0, 3], self.duration_s)
 
-    def recheck(self, plan: FakeResult, scene: Any, q: np.ndarray, settings: Any) -> tuple[Status, str]:
+    def recheck(self, plan: FakeResult, scene: Any, q: np.ndarray, settings: Any, *, should_stop: Any) -> tuple[Status, str]:
         if np.abs(plan.waypoints[0] - q).max() > 0.01:
             return Status.START_INVALID, "the arm has moved since"
         return Status.SUCCEEDED, "still free"

@@ -14,6 +14,7 @@ from lime_planner.pipeline import PlanResult, core, follow
 from lime_planner.poses import pose_to_matrix
 from lime_planner.robot.ik import solve_ik
 from lime_planner.robot.model import home
+from lime_planner.scene.scene import Scene
 from lime_planner.status import Status
 
 pytestmark = pytest.mark.alone
@@ -172,6 +173,23 @@ def test_cancelled_in_every_phase() -> None:
         seen.add(next(reversed(result.phases_s), ""))
     assert {"fields", "search"} <= seen or {"fields", "certificate"} <= seen
     assert len(seen) >= 3
+
+
+def test_it_can_be_stopped_while_the_fields_are_built() -> None:
+    points = np.random.default_rng(0).uniform(-1.2, 1.2, (40_000, 3))
+    points = points[np.linalg.norm(points[:, :2], axis=1) > 0.6]  # the whole reach: as large as fields become
+    scene = Scene.from_points(points, np.arange(len(points)) % 2, frame_id="base")
+    asks = [0]
+
+    def should_stop(limit: int) -> bool:
+        asks[0] += 1
+        return asks[0] >= limit
+
+    refused(plan(scene, goal(0.5), should_stop=lambda: should_stop(20)), Status.CANCELLED, "stopped")
+    assert asks[0] <= 21  # at once, and long before the fields are there
+    result = plan(scene, goal(0.5), deadline_s=0.001)
+    refused(result, Status.TIMED_OUT, "the deadline of 0.00 s passed")
+    assert not result.phases_s  # not even the fields were finished
 
 
 def test_leaf_budget() -> None:

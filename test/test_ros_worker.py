@@ -9,7 +9,7 @@ from collections import Counter
 import pytest
 
 from lime_planner.ros.refusal import Refusal
-from lime_planner.ros.worker import Answer, Ticket, Worker
+from lime_planner.ros.worker import Answer, Ticket, Worker, answered_after
 from lime_planner.status import Status
 
 pytestmark = pytest.mark.alone
@@ -188,6 +188,27 @@ def test_it_tidies_up_after_every_job_even_one_that_failed() -> None:
         assert worker.wait_idle(5.0)
     assert seen == [1, 2]  # each time the caller had its answer before
     assert worker.close()
+
+
+def test_a_late_job_loses_its_request_even_if_it_does_not_look(worker: Worker) -> None:
+    caller, late = Caller(), Answer(Status.TIMED_OUT, "too late")
+    commits = []
+
+    def job(ticket: Ticket) -> Answer:
+        with answered_after(0.02, ticket, late):
+            time.sleep(0.0 if ticket.plan_id == 2 else 0.3)
+        commits.append(ticket.commit())
+        time.sleep(0.1)  # long enough for a timer that was not called off
+        return DONE
+
+    worker.submit("plan", job, caller)
+    began = time.monotonic()
+    assert caller.wait(1)[1] == late
+    assert time.monotonic() - began < 0.25
+    assert worker.wait_idle(5.0)
+    worker.submit("plan", job, caller)
+    assert caller.wait(2)[2] is DONE
+    assert commits == [False, True]  # what was taken away moves no arm
 
 
 def test_closing_answers_everyone() -> None:

@@ -85,13 +85,21 @@ class Pipeline:
         checker.leaf_contact(q)
         self._kept = None
 
-    def obstacles(self, scene: Scene, target: Array | None, settings: Settings) -> Obstacles:
-        """Obstacles of a scene, those of the last call if nothing that they are made of has changed."""
+    def obstacles(self, scene: Scene, target: Array | None, settings: Settings, should_stop: Callable[[], bool] = never) -> Obstacles:
+        """Obstacles of a scene, those of the last call if nothing that they are made of has changed.
+
+        Args:
+            scene, target, settings: see `prepare`.
+            should_stop: cancels.
+
+        Raises:
+            Stopped: CANCELLED.
+        """
         place = None if target is None else tuple(np.asarray(target, dtype=np.float64))
         key = (place, *(getattr(settings, name) for name in _SHAPING))
         kept = self._kept  # read and written whole: another thread may ask at the same time
         if kept is None or kept[0] is not scene or kept[1] != key:
-            kept = self._kept = (scene, key, prepare(self.robot, self.shapes, scene, target, settings))
+            kept = self._kept = (scene, key, prepare(self.robot, self.shapes, scene, target, settings, should_stop))
         return dataclasses.replace(kept[2], settings=settings)
 
     def plan(
@@ -178,7 +186,7 @@ class Pipeline:
         counts: dict[str, int],
         should_stop: Callable[[], bool],
     ) -> tuple[Obstacles, ExactChecker, Goals]:
-        obstacles = self.obstacles(scene, T[:3, 3], settings)
+        obstacles = self.obstacles(scene, T[:3, 3], settings, should_stop)
         checker = obstacles.exact_checker()
         counts |= obstacles.counts
         clock.lap("fields")
@@ -258,19 +266,36 @@ class Pipeline:
             ProblemError: `waypoints` is no such array, or `T_base_tool` no pose.
         """
         T = None if T_base_tool is None else checked_target(T_base_tool)
-        return follow.follow(lambda: self._obstacles_of(scene, T, settings), waypoints, T, settings, should_stop)
+        return follow.follow(lambda: self._obstacles_of(scene, T, settings, should_stop), waypoints, T, settings, should_stop)
 
-    def recheck(self, result: PlanResult, scene: Scene, q_measured: npt.ArrayLike, settings: Settings) -> tuple[Status, str]:
+    def recheck(
+        self,
+        result: PlanResult,
+        scene: Scene,
+        q_measured: npt.ArrayLike,
+        settings: Settings,
+        *,
+        should_stop: Callable[[], bool] = never,
+    ) -> tuple[Status, str]:
         """Check a plan again before it is carried out, against the newest scene and arm state.
 
+        Args:
+            result: the plan; scene: the newest; q_measured: (n,) [rad]; settings: radii and limits.
+            should_stop: cancels.
+
         Returns:
-            SUCCEEDED, or why not: PATH_INVALID with the contact or the broken rule, NOTHING_TO_EXECUTE for a plan without a motion.
+            SUCCEEDED, or why not: PATH_INVALID with the contact or the broken rule, NOTHING_TO_EXECUTE for a plan without a motion,
+            CANCELLED.
 
         Raises:
             ProblemError: `q_measured` is not n finite numbers.
         """
         q = checked_start(self.robot, q_measured)
-        return follow.recheck(lambda: self._obstacles_of(scene, result.T_base_tool, settings), result.trajectory, q, settings)
+
+        def world() -> Obstacles:
+            return self._obstacles_of(scene, result.T_base_tool, settings, should_stop)
+
+        return follow.recheck(world, result.trajectory, q, settings, should_stop)
 
     def obstruction(
         self,
@@ -295,5 +320,5 @@ class Pipeline:
         target = None if result.T_base_tool is None else result.T_base_tool[:3, 3]
         return follow.obstruction(lambda: stem_checker(self.robot, scene, target, settings), result.trajectory, from_time_s, should_stop)
 
-    def _obstacles_of(self, scene: Scene, T_base_tool: Array | None, settings: Settings) -> Obstacles:
-        return self.obstacles(scene, None if T_base_tool is None else T_base_tool[:3, 3], settings)
+    def _obstacles_of(self, scene: Scene, T_base_tool: Array | None, settings: Settings, should_stop: Callable[[], bool]) -> Obstacles:
+        return self.obstacles(scene, None if T_base_tool is None else T_base_tool[:3, 3], settings, should_stop)

@@ -112,15 +112,25 @@ def follow(
     )
 
 
-def recheck(obstacles: Callable[[], Obstacles], trajectory: Trajectory | None, q_measured: Array, settings: Settings) -> tuple[Status, str]:
+def recheck(
+    obstacles: Callable[[], Obstacles],
+    trajectory: Trajectory | None,
+    q_measured: Array,
+    settings: Settings,
+    should_stop: Callable[[], bool] = never,
+) -> tuple[Status, str]:
     """Check a motion once more before it is carried out; see `Pipeline.recheck`."""
     if trajectory is None:
         return Status.NOTHING_TO_EXECUTE, "the plan has no motion"
-    world = obstacles()
-    broken = contract_violations(world.robot, trajectory, q_measured, settings)
-    if broken:
-        return Status.PATH_INVALID, "; ".join(broken)
-    hit = hit_of(world.exact_checker(), trajectory.configurations(CERTIFIED_STEP_RAD), never)
+    try:
+        world = obstacles()
+        broken = contract_violations(world.robot, trajectory, q_measured, settings)
+        if broken:
+            return Status.PATH_INVALID, "; ".join(broken)
+        hit = hit_of(world.exact_checker(), trajectory.configurations(CERTIFIED_STEP_RAD), should_stop)
+        ask(should_stop)
+    except Stopped as stop:
+        return stop.status, stop.sentence
     if hit is not None:
         return Status.PATH_INVALID, f"the exact check refuses the motion in the newest scene: {hit}"
     return Status.SUCCEEDED, f"the motion of {trajectory.duration_s:.1f} s is still clear"

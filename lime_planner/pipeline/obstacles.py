@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
 from lime_planner.parameters import Settings
+from lime_planner.pipeline.steps import ask, never
 from lime_planner.robot.arm_space import ArmSpace, make_arm_space
 from lime_planner.robot.collision import GRADED_CELL_M
 from lime_planner.robot.exact import ExactChecker
@@ -116,12 +118,20 @@ def _exact_checker(robot: Robot, hard: Float32, leaves: Float32, target: Array |
 
 def _patch_weights(points: Float32, costs: Float32) -> Float32:
     """Weights that add up to the permeability cost in each graded cell, however many points it holds."""
+    if not len(points):
+        return costs
     cells = np.floor(points / GRADED_CELL_M).astype(np.int64)
-    _, inverse, counts = np.unique(cells, axis=0, return_inverse=True, return_counts=True)
-    return np.asarray(costs / counts[inverse.ravel()], dtype=np.float32)
+    cells -= cells.min(axis=0)
+    # One number for each cell: rows of three would take ten times as long to tell apart.
+    _, inverse, counts = np.unique(
+        np.ravel_multi_index(tuple(cells.T), tuple(cells.max(axis=0) + 1)), return_inverse=True, return_counts=True
+    )
+    return np.asarray(costs / counts[inverse], dtype=np.float32)
 
 
-def prepare(robot: Robot, shapes: Shapes, scene: Scene, target: Array | None, settings: Settings) -> Obstacles:
+def prepare(
+    robot: Robot, shapes: Shapes, scene: Scene, target: Array | None, settings: Settings, should_stop: Callable[[], bool] = never
+) -> Obstacles:
     """Build fields and obstacles.
 
     Args:
@@ -129,6 +139,10 @@ def prepare(robot: Robot, shapes: Shapes, scene: Scene, target: Array | None, se
         scene: in the planning frame.
         target: (3,) position of the tool at the target [m], or None for a check without one.
         settings: radii, margins, keep-outs, leaf policy.
+        should_stop: cancels.
+
+    Raises:
+        Stopped: CANCELLED.
     """
     hard = _hard_points(robot, scene, target, settings)
     leaf, costs = scene.leaf_points, scene.leaf_costs
@@ -144,9 +158,10 @@ def prepare(robot: Robot, shapes: Shapes, scene: Scene, target: Array | None, se
     thinned = np.ascontiguousarray(leaf[kept])
     touched = thinned_costs > 0.0  # a leaf that costs nothing is free space
     thinned, thinned_costs = thinned[touched], thinned_costs[touched]
+    ask(should_stop)
     graded = settings.leaf_cost == "graded"
     weights = _patch_weights(thinned, thinned_costs) if graded else thinned_costs
-    fields = build_fields(hard, thinned, weights, spacing_m=settings.voxel_m)
+    fields = build_fields(hard, thinned, weights, spacing_m=settings.voxel_m, pause=lambda: ask(should_stop))
     counts = dict(scene.counts) | {"stem_points_used": len(hard), "leaf_points_used": len(thinned)}
     exclusion = np.zeros(4)
     if target is not None and settings.target_exclusion_radius_m > 0.0:

@@ -25,7 +25,7 @@ from lime_planner.ros.refusal import Refusal
 from lime_planner.ros.retreat import way_back
 from lime_planner.ros.scene_source import SceneSource
 from lime_planner.ros.status import Phase
-from lime_planner.ros.worker import Answer, Ticket
+from lime_planner.ros.worker import Answer, Ticket, answered_after
 from lime_planner.scene.scene import Scene
 from lime_planner.status import Status
 
@@ -33,6 +33,9 @@ Array = npt.NDArray[np.float64]
 
 #: How often a plan is made at most: again when the arm had moved, or a stem was seen on the path, before it could be sent.
 _SENDING_ATTEMPTS = 2
+
+#: How long after its deadline a plan is given up for it that has not looked at the clock: amid a cloud of millions of points, say.
+_GRACE_S = 0.02
 
 
 @dataclass(frozen=True)
@@ -122,7 +125,7 @@ class Requests:
             arm = self._arm(snapshot)
             number = self.source().newest_stem_number()
             scene = self.source().scene(snapshot, ticket.should_stop)
-            status, sentence = loaded.pipeline.recheck(result, scene, arm.q, snapshot.plan)
+            status, sentence = loaded.pipeline.recheck(result, scene, arm.q, snapshot.plan, should_stop=ticket.should_stop)
             if status is not Status.SUCCEEDED:
                 return Answer(status, _bare(status, sentence))
             return self._send(ticket, loaded, dataclasses.replace(shown, scene=scene, snapshot=snapshot, stem_number=number))
@@ -213,6 +216,14 @@ class Requests:
         self.board.show(ticket.plan_id, Phase.PLANNING)
 
     def _planned(self, ticket: Ticket, loaded: Loaded, snapshot: Snapshot, target: Target) -> Shown:
+        deadline_s = snapshot.node.deadline_s
+        if deadline_s <= 0.0:
+            return self._plan_once(ticket, loaded, snapshot, target)
+        late = Answer(Status.TIMED_OUT, f"the deadline of {deadline_s:.2f} s passed before a motion was certified")
+        with answered_after(deadline_s + _GRACE_S, ticket, late):
+            return self._plan_once(ticket, loaded, snapshot, target)
+
+    def _plan_once(self, ticket: Ticket, loaded: Loaded, snapshot: Snapshot, target: Target) -> Shown:
         began_s = time.monotonic()
         header = target.msg.header
         arm = self._arm(snapshot)

@@ -63,7 +63,7 @@ class SceneSource:
         """Return the scene of the newest clouds.
 
         Raises:
-            Refusal: NO_CLOUD, BAD_INPUT, STALE_INPUT, TF_ERROR.
+            Refusal: NO_CLOUD, BAD_INPUT, STALE_INPUT, TF_ERROR; CANCELLED when it should stop.
         """
         with self._lock:
             samples = self._samples(snapshot.node)
@@ -172,6 +172,7 @@ class SceneSource:
         labelled = name == "labelled_cloud"
         cloud = decode_cloud(sample.msg, name, required=(node.label_field,) if labelled else (), optional=(_COST,))
         header = sample.msg.header
+        _ask(should_stop)  # between steps: each of them takes a fraction of a second where a cloud has millions of points
         points = self._in_planning_frame(cloud.points, header, node.tf_timeout_s, should_stop)
         labels = cloud.columns[node.label_field] if labelled else np.full(len(points), _LEAF if name == "leaf_cloud" else _HARD, np.int64)
         if labelled and len(node.fruit_labels) > 1:
@@ -186,6 +187,7 @@ class SceneSource:
             ignored_labels=node.ignored_labels if labelled else (),
             permeability_cost=cloud.columns.get(_COST),
         )
+        _ask(should_stop)
         return self._arm_filter(scene, self._inputs.joints.at(sample.stamp_s), snapshot.plan.self_filter_padding_m)
 
     def _in_planning_frame(self, points: Float32, header: object, timeout_s: float, should_stop: Callable[[], bool]) -> Float32:
@@ -195,6 +197,11 @@ class SceneSource:
         T = self._frames.lookup(self._planning_frame, frame, header.stamp, timeout_s, should_stop)  # type: ignore[attr-defined]
         with np.errstate(invalid="ignore", over="ignore"):
             return (points @ T[:3, :3].T.astype(np.float32) + T[:3, 3].astype(np.float32)).astype(np.float32)
+
+
+def _ask(should_stop: Callable[[], bool]) -> None:
+    if should_stop():
+        raise Refusal(Status.CANCELLED, "the request was stopped")
 
 
 def _refuse_emptiness(names: Iterable[str], scene: Scene, node: NodeSettings) -> None:

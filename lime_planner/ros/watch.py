@@ -65,7 +65,8 @@ class StemWatch(Attendant):
         try:
             sentence = self._look(motion, should_stop)
         except Refusal as refusal:
-            self._warn(f"during the motion of plan {motion.plan_id}: {refusal}")
+            if not should_stop():
+                self._warn(f"during the motion of plan {motion.plan_id}: {refusal}")
             return
         except Exception:  # the watch must outlive a defect: without it the next motion would run unwatched
             self._warn(traceback.format_exc())

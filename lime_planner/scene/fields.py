@@ -8,19 +8,20 @@ caller asks the hash for the points themselves. Nothing here knows robots or lab
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from lime_planner.jit import inline_kernel, kernel
+from lime_planner.scene.distance_grid import fill_channel
 
 Points = npt.NDArray[np.float32]
 
 STEM, LEAF = 0, 1  # channels of a field's values
 EMPTY_DISTANCE_M = 10.0  # what a field without points answers
 _HASH_CELL_M = 0.02
-_BAND_NODES = 3.6  # distances up to this many spacings are exact at the nodes
 _MAX_NODES = 12_000_000
 
 
@@ -118,115 +119,6 @@ def hash_points(points: npt.ArrayLike, weights: npt.ArrayLike | None = None, cel
     return PointHash(origin, float(cell_m), shape, start, ordered, ordered_weight)
 
 
-@kernel
-def _splat(points: Any, origin: Any, h: Any, radius: Any, squares: Any, seeds: Any) -> Any:
-    """Write each node's squared distance to its nearest point, exact within `radius`; mark the node nearest to each point."""
-    nx, ny, nz = squares.shape
-    inverse = 1.0 / h
-    for i in range(points.shape[0]):
-        x = (points[i, 0] - origin[0]) * inverse
-        y = (points[i, 1] - origin[1]) * inverse
-        z = (points[i, 2] - origin[2]) * inverse
-        r = radius * inverse
-        seeds[int(x + 0.5), int(y + 0.5), int(z + 0.5)] = 0.0
-        for a in range(max(0, int(math.ceil(x - r))), min(nx - 1, int(x + r)) + 1):
-            dx = (a - x) * (a - x)
-            wy = math.sqrt(max(0.0, r * r - dx))
-            for b in range(max(0, int(math.ceil(y - wy))), min(ny - 1, int(y + wy)) + 1):
-                dxy = dx + (b - y) * (b - y)
-                wz = math.sqrt(max(0.0, r * r - dxy))
-                for c in range(max(0, int(math.ceil(z - wz))), min(nz - 1, int(z + wz)) + 1):
-                    d = np.float32(dxy + (c - z) * (c - z))
-                    if d < squares[a, b, c]:
-                        squares[a, b, c] = d
-
-
-@kernel
-def _parabolas(f: Any, n: Any, v: Any, z: Any, out: Any) -> Any:
-    """One line of the exact Euclidean distance transform (lower envelope of parabolas, Felzenszwalb and Huttenlocher 2012)."""
-    k = -1
-    for q in range(n):
-        if f[q] >= 1e11:
-            continue
-        if k < 0:
-            k = 0
-            v[0] = q
-            z[0] = -1e12
-            z[1] = 1e12
-            continue
-        s = ((f[q] + q * q) - (f[v[k]] + v[k] * v[k])) / (2.0 * (q - v[k]))
-        while s <= z[k]:
-            k -= 1
-            s = ((f[q] + q * q) - (f[v[k]] + v[k] * v[k])) / (2.0 * (q - v[k]))
-        k += 1
-        v[k] = q
-        z[k] = s
-        z[k + 1] = 1e12
-    if k < 0:
-        for q in range(n):
-            out[q] = 1e12
-        return
-    k = 0
-    for q in range(n):
-        while z[k + 1] < q:
-            k += 1
-        d = q - v[k]
-        out[q] = d * d + f[v[k]]
-
-
-@kernel
-def _transform(g: Any) -> Any:
-    """Squared Euclidean distance transform in node units, in place; zeros are the seeds, 1e12 elsewhere."""
-    nx, ny, nz = g.shape
-    n = max(nx, ny, nz)
-    f = np.empty(n)
-    out = np.empty(n)
-    v = np.empty(n, np.int64)
-    z = np.empty(n + 1)
-    for a in range(nx):
-        for b in range(ny):
-            last = -1  # along z every seed is 0: the distance to the nearest one on either side is enough
-            for c in range(nz):
-                if g[a, b, c] == 0.0:
-                    last = c
-                elif last >= 0:
-                    g[a, b, c] = np.float32((c - last) * (c - last))
-            last = -1
-            for c in range(nz - 1, -1, -1):
-                if g[a, b, c] == 0.0:
-                    last = c
-                elif last >= 0:
-                    g[a, b, c] = min(g[a, b, c], np.float32((last - c) * (last - c)))
-    for a in range(nx):
-        for c in range(nz):
-            for b in range(ny):
-                f[b] = g[a, b, c]
-            _parabolas(f, ny, v, z, out)
-            for b in range(ny):
-                g[a, b, c] = out[b]
-    for b in range(ny):
-        for c in range(nz):
-            for a in range(nx):
-                f[a] = g[a, b, c]
-            _parabolas(f, nx, v, z, out)
-            for a in range(nx):
-                g[a, b, c] = out[a]
-
-
-@kernel
-def _merge(squares: Any, far: Any, h: Any, band: Any, channel: Any, values: Any) -> Any:
-    """Nodes in the band keep their exact distance; the others get a lower bound from the transform between nodes."""
-    nx, ny, nz = squares.shape
-    for a in range(nx):
-        for b in range(ny):
-            for c in range(nz):
-                s = squares[a, b, c]
-                if s < 1e11:
-                    values[a, b, c, channel] = math.sqrt(s) * h
-                else:
-                    values[a, b, c, channel] = max(band, (math.sqrt(far[a, b, c]) - 0.8661) * h)
-
-
 def build_fields(
     stem_points: npt.ArrayLike,
     leaf_points: npt.ArrayLike,
@@ -234,6 +126,7 @@ def build_fields(
     *,
     spacing_m: float = 0.01,
     padding_m: float = 0.10,
+    pause: Callable[[], None] = lambda: None,
 ) -> Fields:
     """Build the distance fields of one scene.
 
@@ -243,6 +136,7 @@ def build_fields(
         leaf_costs: (N,) permeability costs ≥ 0, or None for ones.
         spacing_m: spacing of the grid; made larger where the clouds spread over more than 12 million nodes.
         padding_m: how far the grid reaches beyond the points; outside it the distance to their bounding box serves.
+        pause: called every ten milliseconds or so; what it raises ends the work.
     """
     stems = np.ascontiguousarray(stem_points, dtype=np.float32).reshape(-1, 3)
     leaves = np.ascontiguousarray(leaf_points, dtype=np.float32).reshape(-1, 3)
@@ -263,11 +157,8 @@ def build_fields(
     values = np.full((*shape, 2), EMPTY_DISTANCE_M, np.float32)
     for channel, points in ((STEM, stems), (LEAF, leaves)):
         if len(points):
-            squares = np.full(shape, 1e12, np.float32)
-            seeds = np.full(shape, 1e12, np.float32)
-            _splat(points, low, spacing_m, _BAND_NODES * spacing_m, squares, seeds)
-            _transform(seeds)
-            _merge(squares, seeds, spacing_m, np.float32(_BAND_NODES * spacing_m), channel, values)
+            fill_channel(points, low, spacing_m, channel, values, pause)
+    pause()
     return Fields(low, spacing_m, values, boxes, present, hash_points(stems), hash_points(leaves, leaf_costs))
 
 
