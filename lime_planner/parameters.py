@@ -198,10 +198,13 @@ def _number(parameter: Parameter, value: Any, element: type) -> Any:
         if not isinstance(value, str):
             raise ParameterError(f"{parameter.name} must be text, got {value!r}")
         return value
-    if not isinstance(value, (int, float)) or (element is int and int(value) != value):
-        raise ParameterError(f"{parameter.name} must be a {'whole number' if element is int else 'number'}, got {value!r}")
+    wanted = "whole number" if element is int else "number"
+    if not isinstance(value, (int, float)):
+        raise ParameterError(f"{parameter.name} must be a {wanted}, got {value!r}")
     if not math.isfinite(value):
         raise ParameterError(f"{parameter.name} must be finite, got {value!r}")
+    if element is int and int(value) != value:
+        raise ParameterError(f"{parameter.name} must be a {wanted}, got {value!r}")
     low, high = parameter.minimum, parameter.maximum
     if (low is not None and value < low) or (high is not None and value > high):
         raise ParameterError(f"{parameter.name} is {value!r}; allowed: {parameter.range_text} {parameter.unit}".rstrip())

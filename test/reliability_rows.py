@@ -230,6 +230,9 @@ ROWS = (
     Row("parameter", "time_budget_s = 'soon'", parameter("time_budget_s", "soon"), "refused", "must be a number", service=""),
     Row("parameter", "planner = 'magic'", parameter("planner", "magic"), "refused", "one of lime_star", service=""),
     Row("parameter", "motion_enabled = 1", parameter("motion_enabled", 1), "refused", "must be a bool", service=""),
+    Row("parameter", "iterations = nan", parameter("iterations", NAN), "refused", "must be finite", service=""),
+    Row("parameter", "leaf_labels = 3", parameter("leaf_labels", 3), "refused", "must be a list", service=""),
+    Row("parameter", "label_field = 'x'", parameter("label_field", "x"), "refused", "must name a field", service=""),
     Row("parameter", "workspace_box = [1.0]", parameter("workspace_box", [1.0]), "refused", "multiple of 6", service=""),
     Row(
         "parameter",

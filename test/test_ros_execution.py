@@ -183,11 +183,27 @@ def test_silence_stops_the_motion(rig: Rig) -> None:
     assert "silent" in rig.ended[0].sentence
 
 
+def test_who_stops_an_arm_that_is_being_stopped_wants_it_to_stay(rig: Rig) -> None:
+    motion = rig.send()
+    assert motion is not None and rig.execution.ending is None
+    rig.execution.stop(Status.STEM_APPEARED, "a twig")
+    assert rig.execution.ending is motion
+    cancels = rig.execution.cancels
+    assert rig.execution.stop(Status.STEM_APPEARED, "another twig")
+    assert rig.execution.cancels == cancels
+    assert rig.execution.stop(Status.CANCELLED, "by hand")
+    rig.rest(rig.joints.newest.q, 0.15)
+    assert [(ended.status, ended.sentence) for ended in rig.ended] == [(Status.CANCELLED, "by hand")]
+    assert rig.ended[0].cancels == rig.execution.cancels == cancels + 1
+    assert len(rig.sent) == 2  # one motion, one stop
+
+
 def test_a_motion_of_unknown_origin_is_held_on_request_only(rig: Rig) -> None:
     assert not rig.execution.hold_foreign_motion(snapshot())
     rig.play(lambda t: START + 0.5 * t, 0.1)
-    assert not rig.execution.hold_foreign_motion(snapshot(motion_enabled=False))
-    assert rig.execution.hold_foreign_motion(snapshot())
+    assert "no hold was sent, because motion_enabled is false" in rig.execution.hold_foreign_motion(snapshot(motion_enabled=False))
+    assert not rig.sent
+    assert rig.execution.hold_foreign_motion(snapshot()) == "the arm moved, but not by this node: a hold was sent"
     assert len(rig.sent[0]) == 1
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import time
 from collections.abc import Iterator
 from dataclasses import fields
@@ -81,9 +82,17 @@ def test_start_values_are_checked_and_converted(context: rclpy.Context) -> None:
         ("motion_enabled", 1, "motion_enabled must be a bool"),
         ("keep_out_boxes", [0.0, 0.0], "multiple of 6"),
         ("keep_out_boxes", [1.0, 0.0, 0.0, 0.0, 1.0, 1.0], "minimum"),
-        ("leaf_labels", [1], "stem_labels 1"),
+        ("leaf_labels", [1], "leaf_labels and stem_labels share 1; a class has one meaning"),
         ("robot", "topic", "read-only"),
         ("iterations", 2.5, "whole number"),
+        ("iterations", float("nan"), "iterations must be finite"),
+        ("iterations", float("inf"), "iterations must be finite"),
+        ("leaf_labels", [float("nan")], "leaf_labels must be finite"),
+        ("leaf_labels", 3, "leaf_labels must be a list, got 3"),
+        ("keep_out_boxes", 1.0, "keep_out_boxes must be a list"),
+        ("label_field", "", "must name a field that holds nothing but the class"),
+        ("label_field", "x", "must name a field"),
+        ("label_field", "permeability_cost", "must name a field"),
     ],
 )
 def test_bad_values_are_refused_with_a_reason(context: rclpy.Context, name: str, value: object, words: str) -> None:
@@ -111,8 +120,23 @@ def test_a_snapshot_does_not_change(context: rclpy.Context) -> None:
 
 
 def test_classes_have_one_meaning() -> None:
-    with pytest.raises(ParameterError, match="ignored_labels 0"):
-        snapshot_from({"ignored_labels": [0]})
+    names = ("leaf_labels", "stem_labels", "fruit_labels", "ignored_labels")
+    apart = dict(zip(names, ([10], [11], [12], [13]), strict=True))
+    assert snapshot_from(apart).node.fruit_labels == (12,)
+    for first, second in itertools.combinations(names, 2):
+        with pytest.raises(ParameterError, match=f"{first} and {second} share 7; a class has one meaning"):
+            snapshot_from(apart | {first: [7, 8], second: [9, 7]})
+
+
+def test_a_parameter_cannot_be_removed(context: rclpy.Context) -> None:
+    node, params = make(context)
+    before = params.snapshot
+    for name in ("time_budget_s", "leaf_labels"):
+        outcome = node.set_parameters([Parameter(name, Parameter.Type.NOT_SET)])[0]
+        assert not outcome.successful
+        assert outcome.reason == f"{name}: the value cannot be removed"
+    assert params.snapshot == before
+    node.destroy_node()
 
 
 def offer(reliability: ReliabilityPolicy, durability: DurabilityPolicy) -> QoSProfile:

@@ -207,3 +207,49 @@ def test_the_arm_is_removed_where_it_was_at_the_stamp(inputs: Inputs) -> None:
     inputs.on_cloud("stem_cloud", stamped(cloud(5), NOW_S - 50.0))
     made.scene(snapshot_from({}), never)
     assert seen == [(pytest.approx(0.5, abs=1e-6), 0.02), (None, 0.01)]
+
+
+@pytest.mark.parametrize("stamped_cloud", [True, False])
+def test_where_the_arm_was_is_known_for_as_long_as_the_cloud_is_used(inputs: Inputs, stamped_cloud: bool) -> None:
+    def state(angle: float, at_s: float) -> JointState:
+        return stamped(JointState(name=list(JOINTS), position=[angle, 0.0, 0.0]), at_s)  # type: ignore[return-value]
+
+    seen: list[object] = []
+    made = SceneSource(inputs, StaticFrames(), "base", lambda scene, q, _: seen.append(None if q is None else q[0]) or scene)  # type: ignore[index, func-returns-value]
+    inputs.on_joint_state(state(1.0, NOW_S - 0.1))
+    msg = cloud(5)
+    inputs.on_cloud("stem_cloud", stamped(msg, NOW_S - 0.05) if stamped_cloud else msg)
+    inputs.on_joint_state(state(2.0, NOW_S))  # what lies between is known once a later state is there
+    inputs.joints.clear()  # and a minute passes
+    inputs.on_joint_state(state(3.0, NOW_S + 60.0))
+    made.scene(snapshot_from({}), never)
+    assert seen == [pytest.approx(1.5 if stamped_cloud else 1.0, abs=1e-6)]
+
+
+def test_where_the_arm_was_is_known_although_its_joints_were_not_yet() -> None:
+    inputs = Inputs(lambda: NOW_S, print)
+    seen: list[object] = []
+    made = SceneSource(inputs, StaticFrames(), "base", lambda scene, q, _: seen.append(None if q is None else q[0]) or scene)  # type: ignore[index, func-returns-value]
+    for number in range(200):  # more than are kept
+        inputs.on_joint_state(stamped(JointState(name=list(JOINTS), position=[float(number), 0.0, 0.0]), NOW_S - 200.0 + number))  # type: ignore[arg-type]
+        if number == 5:
+            inputs.on_cloud("stem_cloud", stamped(cloud(5), NOW_S - 195.0))
+    inputs.set_joints(JOINTS)
+    made.scene(snapshot_from({}), never)
+    assert seen == [5.0]
+
+
+def test_a_stop_is_noticed_between_the_steps(inputs: Inputs) -> None:
+    inputs.on_cloud("stem_cloud", cloud(5))
+    asks = [0]
+
+    def stop_at(number: int) -> bool:
+        asks[0] += 1
+        return asks[0] >= number
+
+    for number in (1, 2):
+        asks[0] = 0
+        with pytest.raises(Refusal) as caught:
+            source(inputs).scene(snapshot_from({}), lambda number=number: stop_at(number))
+        assert caught.value.status is Status.CANCELLED
+    assert len(source(inputs).scene(snapshot_from({}), never).stem_points) == 5

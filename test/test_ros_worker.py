@@ -211,6 +211,25 @@ def test_a_late_job_loses_its_request_even_if_it_does_not_look(worker: Worker) -
     assert commits == [False, True]  # what was taken away moves no arm
 
 
+def test_from_a_refusal_on_nothing_is_committed() -> None:
+    worker, caller = Worker(lambda trace: None), Caller()
+    commits = []
+
+    def deaf_sender(ticket: Ticket) -> Answer:
+        time.sleep(0.1)
+        commits.append(ticket.commit())
+        return DONE
+
+    worker.submit("plan", deaf_sender, caller)
+    time.sleep(0.02)
+    worker.refuse()
+    assert caller.wait(1)[1].status is Status.CANCELLED
+    worker.submit("plan", deaf_sender, caller)
+    assert caller.wait(2)[2].status is Status.NOT_READY
+    assert worker.close()
+    assert commits == [False]
+
+
 def test_closing_answers_everyone() -> None:
     worker, caller = Worker(lambda trace: None), Caller()
 

@@ -127,7 +127,7 @@ class Trajectory:
             result = np.where(inside, (v0 + x * (2.0 * c2 + x * 3.0 * c3)) / self.dt_s, 0.0)
         else:
             result = p0 + x * (v0 + x * (c2 + x * c3))
-        return result.reshape(*t.shape, -1)
+        return result.reshape(*t.shape, self.positions.shape[1])
 
     def peak_velocities(self) -> Array:
         """Return the largest |velocity| of every joint's cubic over every interval [rad/s], (K - 1, n)."""
@@ -151,11 +151,12 @@ class Trajectory:
         v0, v1 = self.velocities[:-1], self.velocities[1:]
         return (6.0 * slope - 4.0 * v0 - 2.0 * v1) / h, (2.0 * v0 + 4.0 * v1 - 6.0 * slope) / h
 
-    def configurations(self, step_rad: float) -> Array:
+    def configurations(self, step_rad: float, from_time_s: float = 0.0) -> Array:
         """Return configurations along the cubics, never more than `step_rad` apart in any joint, (R, n): for checks in space.
 
         Args:
             step_rad: largest change of one joint between neighbours [rad], > 0.
+            from_time_s: those from this time on [s]; none of them are left after the end.
 
         Raises:
             ProblemError: `step_rad` is not positive.
@@ -163,9 +164,10 @@ class Trajectory:
         if not step_rad > 0.0:
             raise ProblemError(f"step_rad must be above 0, got {step_rad}")
         if len(self.positions) == 1:
-            return self.positions.copy()
+            return self.positions[: int(self.first_time_s >= from_time_s)].copy()
         parts = np.maximum(np.ceil(self.peak_velocities().max(axis=1) * self.dt_s / step_rad), 1.0).astype(np.int64)
         starts = np.repeat(np.arange(len(parts)), parts)
         offsets = np.arange(len(starts)) - np.repeat(np.cumsum(parts) - parts, parts)
         u = starts + offsets / parts[starts]
-        return np.concatenate([self.sample(self.first_time_s + self.dt_s * u), self.positions[-1:]])
+        times_s = np.append(self.first_time_s + self.dt_s * u, self.duration_s)
+        return self.sample(times_s[times_s >= from_time_s])

@@ -142,7 +142,7 @@ def obstruction(
     """Look for something hard on the rest of a running motion; see `Pipeline.obstruction`."""
     if trajectory is None:
         return None
-    rest = trajectory.positions[trajectory.times() >= from_time_s]
+    rest = trajectory.configurations(CERTIFIED_STEP_RAD, from_time_s)
     if len(rest) == 0:
         return None
     return hit_of(checker(), rest, should_stop)

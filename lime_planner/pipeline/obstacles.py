@@ -81,7 +81,7 @@ class Obstacles:
 
     def exact_checker(self) -> ExactChecker:
         """An exact checker of the same obstacles."""
-        return _exact_checker(self.robot, self.hard, self.leaves, self.target, self.settings)
+        return _exact_checker(self.robot, self.hard, self.leaves, self.target, self.settings, self.world.stem_radius)
 
 
 def stem_checker(robot: Robot, scene: Scene, target: Array | None, settings: Settings) -> ExactChecker:
@@ -90,7 +90,13 @@ def stem_checker(robot: Robot, scene: Scene, target: Array | None, settings: Set
     Args:
         robot, scene, target, settings: see `prepare`; the leaf policy does not count.
     """
-    return _exact_checker(robot, _hard_points(robot, scene, target, settings), np.zeros((0, 3), np.float32), target, settings)
+    hard, none = _hard_points(robot, scene, target, settings), np.zeros((0, 3), np.float32)
+    return _exact_checker(robot, hard, none, target, settings, _stem_radius_m(scene, settings))
+
+
+def _stem_radius_m(scene: Scene, settings: Settings) -> float:
+    """Radius of stem points such that those which thinning dropped lie inside those which stand for them."""
+    return settings.stem_point_radius_m + scene.stem_displacement_m
 
 
 def _hard_points(robot: Robot, scene: Scene, target: Array | None, settings: Settings) -> Float32:
@@ -99,12 +105,12 @@ def _hard_points(robot: Robot, scene: Scene, target: Array | None, settings: Set
     return np.asarray(hard[np.einsum("ij,ij->i", hard, hard) <= reach * reach], dtype=np.float32)
 
 
-def _exact_checker(robot: Robot, hard: Float32, leaves: Float32, target: Array | None, s: Settings) -> ExactChecker:
+def _exact_checker(robot: Robot, hard: Float32, leaves: Float32, target: Array | None, s: Settings, stem_radius_m: float) -> ExactChecker:
     boxes = np.array(s.keep_out_boxes, dtype=np.float64).reshape(-1, 6)
     return ExactChecker(
         robot,
         hard,
-        point_radius_m=s.stem_point_radius_m,
+        point_radius_m=stem_radius_m,
         leaf_points=leaves,
         leaf_point_radius_m=s.leaf_point_radius_m,
         keep_out_boxes=boxes,
@@ -171,9 +177,9 @@ def prepare(
     world = empty_world(
         fields,
         robot.n,
-        stem_radius=settings.stem_point_radius_m,
+        stem_radius=_stem_radius_m(scene, settings),
         leaf_radius=settings.leaf_point_radius_m,
-        margin=settings.stem_margin_m + scene.stem_displacement_m,
+        margin=settings.stem_margin_m,
         boxes=np.array(settings.keep_out_boxes, dtype=np.float64).reshape(-1, 2, 3),
         floor_z=settings.floor_z_m if settings.floor_z_m > _NO_FLOOR_M else -1e10,
         workspace=np.array(settings.workspace_box, dtype=np.float64).reshape(2, 3) if settings.workspace_box else infinite,

@@ -15,6 +15,9 @@ from lime_planner.scene import point_cloud2
 from lime_planner.scene.point_cloud2 import TYPES, XYZ, Cloud
 from lime_planner.status import Status
 
+#: The optional field of leaf points that scales their cost.
+COST_FIELD = "permeability_cost"
+
 _FROM_NUMPY = {np.dtype(name): number for number, name in TYPES.items()}
 
 

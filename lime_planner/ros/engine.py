@@ -160,6 +160,8 @@ class Engine(Attendant):
         self._say("loading the robot")
         try:
             loaded = self._builder(self._settings, urdf)
+            if self._warm:  # the model in use serves until the next one has shown that it can
+                loaded.warm_up()
             if not self._exchange(loaded):
                 return
             loaded.warm_up()

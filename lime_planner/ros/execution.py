@@ -61,11 +61,17 @@ class Motion:
 
 @dataclass(frozen=True)
 class Ended:
-    """How a motion ended."""
+    """How a motion ended.
+
+    Attributes:
+        motion, status, sentence: which one, how, and why.
+        cancels: `Execution.cancels` at that moment.
+    """
 
     motion: Motion
     status: Status
     sentence: str
+    cancels: int = 0
 
 
 #: Makes the stop: (motion or None, newest measured configuration or None, arm on the plan?) -> what to send, or None.
@@ -110,6 +116,8 @@ class Execution:
         self._motion: Motion | None = None
         self._stopping: tuple[Motion, Status, str, float] | None = None
         self._last: Motion | None = None
+        #: How often somebody wanted the arm to stop and to stay: whoever would move it again by himself must look at this.
+        self.cancels = 0
 
     @property
     def motion(self) -> Motion | None:
@@ -121,6 +129,12 @@ class Execution:
         """Whether a motion runs or has not come to rest after its stop."""
         with self._lock:
             return self._motion is not None or self._stopping is not None
+
+    @property
+    def ending(self) -> Motion | None:
+        """The motion that is being stopped."""
+        stopping = self._stopping
+        return None if stopping is None else stopping[0]
 
     @property
     def stopping(self) -> bool:
@@ -189,8 +203,12 @@ class Execution:
             sentence: why.
         """
         with self._lock:
+            cancelled = status is Status.CANCELLED
+            self.cancels += cancelled
             motion = self._motion
             if motion is None:
+                if cancelled and self._stopping is not None:  # a motion that is aborted may be planned again; a cancelled one may not
+                    self._stopping = (self._stopping[0], status, sentence, self._stopping[3])
                 return self._stopping is not None
             state = self._joints.newest
             command = self._make_stop(motion, None if state is None else state.q, status is not Status.EXECUTION_DEVIATED)
@@ -201,19 +219,26 @@ class Execution:
         self._on_stop(motion)
         return True
 
-    def hold_foreign_motion(self, snapshot: Snapshot) -> bool:
-        """Send a hold when the arm moves although nothing of ours runs (a motion from before a restart, say)."""
+    def hold_foreign_motion(self, snapshot: Snapshot) -> str:
+        """Send a hold when the arm moves although nothing of ours runs (a motion from before a restart, say).
+
+        Returns:
+            What was found and done, in words; empty when the arm rests, as far as is known.
+        """
         node = snapshot.node
         with self._lock:
             state = self._joints.newest
-            if self.active or state is None or not node.motion_enabled or state.age_s(time.monotonic()) > SILENCE_S:
-                return False
+            if self.active or state is None or state.age_s(time.monotonic()) > SILENCE_S:
+                return ""
             if not self._joints.moving(node.stillness_time_s, node.stillness_rad):
-                return False
+                return ""
+            if not node.motion_enabled:  # whoever has forbidden motions moves the arm by other means, or must stop it by them
+                return "the arm moves, but not by this node, and no hold was sent, because motion_enabled is false"
             command = self._make_stop(None, state.q, False)
-            if command is not None:
-                self._publish(self._prepare(command))
-            return command is not None
+            if command is None:
+                return ""
+            self._publish(self._prepare(command))
+            return "the arm moved, but not by this node: a hold was sent"
 
     def on_state(self, state: ArmState) -> None:
         """Compare a new measurement with the plan."""
@@ -252,7 +277,7 @@ class Execution:
             return None
         self._stopping = None
         more = "" if rests else f"; it could not be seen to rest within {node.stillness_timeout_s:g} s"
-        return Ended(motion, status, sentence + more)
+        return Ended(motion, status, sentence + more, self.cancels)
 
     def _look_at(self, motion: Motion) -> Ended | None:
         node = motion.snapshot.node
@@ -269,7 +294,8 @@ class Execution:
         off = float(np.abs(state.q - motion.trajectory.positions[-1]).max())
         if off <= node.goal_tolerance_rad and self._joints.still(node.stillness_time_s, node.stillness_rad):
             self._motion = None
-            return Ended(motion, Status.SUCCEEDED, f"the arm rests {off:.4f} rad from the planned end after {motion.elapsed_s():.2f} s")
+            sentence = f"the arm rests {off:.4f} rad from the planned end after {motion.elapsed_s():.2f} s"
+            return Ended(motion, Status.SUCCEEDED, sentence, self.cancels)
         if late_s > node.goal_time_s:
             self.stop(
                 Status.EXECUTION_DEVIATED,

@@ -17,6 +17,7 @@ import numpy.typing as npt
 from geometry_msgs.msg import PoseStamped
 from sensor_msgs.msg import JointState, PointCloud2
 
+from lime_planner.ros.arm_at_clouds import ArmAtClouds
 from lime_planner.ros.clouds import check_layout
 from lime_planner.ros.convert import JointReader, stamp_s, target_matrix
 from lime_planner.ros.joints import ArmState, JointHistory
@@ -147,12 +148,12 @@ class Target:
     Attributes:
         T_frame_tool: (4, 4), in the frame of its message.
         msg: the message.
-        from_topic: whether it came by the topic; such a one is withdrawn by an invalid one after it.
+        sample: how it came in, if by the topic; such a one ages, and is withdrawn by an invalid one after it.
     """
 
     T_frame_tool: npt.NDArray[np.float64]
     msg: PoseStamped
-    from_topic: bool = False
+    sample: Sample | None = None
 
 
 class Inputs:
@@ -171,6 +172,7 @@ class Inputs:
         self._recent: deque[tuple[JointState, float, float]] = deque(maxlen=_RECENT_STATES)
         self.slots = {name: Slot(name) for name in (*CLOUDS, "grasp_target")}
         self.joints = JointHistory()
+        self.arm_at_clouds = ArmAtClouds(self.joints)
 
     def set_joints(self, joint_names: tuple[str, ...]) -> None:
         """Say which joints the arm has; what was measured for another arm is forgotten, what came lately is read again."""
@@ -180,12 +182,17 @@ class Inputs:
         for state in [self._read(reader, msg, arrival_s, now_s) for msg, arrival_s, now_s in list(self._recent)]:
             if state is not None:
                 self.joints.add(state, counted=True)
+        self.arm_at_clouds.begin_anew(lambda msg: self._read(reader, msg, time.monotonic(), 0.0))
 
     def on_cloud(self, name: str, msg: PointCloud2) -> None:
         """Take in a cloud."""
         refusal = self.slots[name].put(msg, stamp_s(msg.header.stamp), self._ros_now_s(), lambda m: check_layout(m, name))
         if refusal is not None:
             self._warn(refusal)
+            return
+        sample = self.slots[name].newest
+        assert sample is not None
+        self.arm_at_clouds.arrived(name, sample.number, sample.stamp_s, self._recent[-1][0] if self._recent else None)
 
     def on_target(self, msg: PoseStamped) -> bool:
         """Take in a target; a bad one takes the place of the one before, so that nothing falls back to an older lime."""
@@ -209,6 +216,7 @@ class Inputs:
             return None
         if state is not None:
             self.joints.add(state)
+            self.arm_at_clouds.look()
         return state
 
     @staticmethod
@@ -236,17 +244,25 @@ class Inputs:
             raise Refusal(Status.BAD_INPUT, sample.refusal)
         sample.check_time("grasp_target", max_age_s, max_ahead_s)
         slot.use(sample)
-        return Target(target_matrix(sample.msg), sample.msg, from_topic=True)
+        return Target(target_matrix(sample.msg), sample.msg, sample)
 
-    def check_not_withdrawn(self, target: Target | None) -> None:
-        """Check that no invalid target came after one that was taken from the topic.
+    def peek_target(self) -> Target | None:
+        """Return the newest target if it is a valid one, whatever its age, without counting it as used."""
+        sample = self.slots["grasp_target"].newest
+        return None if sample is None or sample.refusal is not None else Target(target_matrix(sample.msg), sample.msg, sample)
+
+    def check_target(self, target: Target | None, max_age_s: float, max_ahead_s: float) -> None:
+        """Check once more, before a motion is sent, a target that was taken from the topic.
 
         Raises:
-            Refusal: BAD_INPUT.
+            Refusal: BAD_INPUT when an invalid one came after it, STALE_INPUT when it has become too old.
         """
+        if target is None or target.sample is None:
+            return
         newest = self.slots["grasp_target"].newest
-        if target is not None and target.from_topic and newest is not None and newest.refusal is not None:
+        if newest is not None and newest.refusal is not None:
             raise Refusal(Status.BAD_INPUT, f"the target was withdrawn by the one after it: {newest.refusal}")
+        target.sample.check_time("grasp_target", max_age_s, max_ahead_s)
 
     def trouble(self, max_joint_state_age_s: float) -> list[str]:
         """Return what is wrong with the inputs now, a sentence each; an input that nothing has come on yet is not in trouble."""

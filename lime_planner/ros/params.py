@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -13,6 +14,8 @@ from rclpy.parameter import Parameter as RosParameter
 
 from lime_planner.errors import ParameterError
 from lime_planner.parameters import NODE_PARAMETERS, PARAMETERS, Parameter, Settings, settings_from, validate
+from lime_planner.ros.clouds import COST_FIELD
+from lime_planner.scene import point_cloud2
 
 _TABLE = {**PARAMETERS, **NODE_PARAMETERS}
 _ARRAYS = {int: RosParameter.Type.INTEGER_ARRAY, float: RosParameter.Type.DOUBLE_ARRAY, str: RosParameter.Type.STRING_ARRAY}
@@ -69,9 +72,12 @@ def snapshot_from(values: Mapping[str, Any]) -> Snapshot:
     checked = {name: validate(name, value) for name, value in values.items()}
     node = {name: checked.get(name, parameter.default) for name, parameter in NODE_PARAMETERS.items()}
     frozen: dict[str, Any] = {name: tuple(value) if isinstance(value, list) else value for name, value in node.items()}
-    both = [f"{name} {label}" for name in ("stem_labels", "ignored_labels") for label in frozen[name] if label in frozen["leaf_labels"]]
-    if both:
-        raise ParameterError(f"leaf_labels repeats a class of {', '.join(both)}; a class has one meaning")
+    for first, second in itertools.combinations(("leaf_labels", "stem_labels", "fruit_labels", "ignored_labels"), 2):
+        both = sorted(set(frozen[first]) & set(frozen[second]))
+        if both:
+            raise ParameterError(f"{first} and {second} share {', '.join(map(str, both))}; a class has one meaning")
+    if frozen["label_field"] in ("", *point_cloud2.XYZ, COST_FIELD):
+        raise ParameterError(f"label_field is {frozen['label_field']!r}; it must name a field that holds nothing but the class")
     return Snapshot(settings_from({name: value for name, value in checked.items() if name in PARAMETERS}), NodeSettings(**frozen))
 
 
@@ -106,21 +112,25 @@ class NodeParameters:
     def _merged(self, changed: Sequence[RosParameter]) -> dict[str, Any]:
         values = {name: self._node.get_parameter(name).value for name in _TABLE}
         values.update({parameter.name: parameter.value for parameter in changed if parameter.name in _TABLE})
-        return {name: list(value) if _TABLE[name].kind is list else value for name, value in values.items()}
+        return {name: list(value) if _is_array(value) else value for name, value in values.items()}
 
     def _check(self, changed: Sequence[RosParameter]) -> SetParametersResult:
+        removed = [parameter.name for parameter in changed if parameter.name in _TABLE and parameter.value is None]
+        if removed:
+            return SetParametersResult(successful=False, reason=f"{', '.join(removed)}: the value cannot be removed")
         try:
             snapshot_from(self._merged(changed))
         except ParameterError as error:
             return SetParametersResult(successful=False, reason=str(error))
-        except TypeError:
-            names = ", ".join(parameter.name for parameter in changed)
-            return SetParametersResult(successful=False, reason=f"{names}: the value cannot be removed")
         return SetParametersResult(successful=True)
 
     def _apply(self, changed: Sequence[RosParameter]) -> None:
         self._snapshot = snapshot_from(self._merged(changed))
         self.on_change(self._snapshot)
+
+
+def _is_array(value: Any) -> bool:
+    return hasattr(value, "__iter__") and not isinstance(value, str)
 
 
 def _descriptor(parameter: Parameter) -> ParameterDescriptor:

@@ -38,6 +38,7 @@ from lime_planner.ros.inputs import CLOUDS, Inputs
 from lime_planner.ros.marker_desk import MarkerDesk
 from lime_planner.ros.memory import give_back
 from lime_planner.ros.params import NodeParameters, Snapshot
+from lime_planner.ros.refusal import Refusal
 from lime_planner.ros.requests import Requests, Shown
 from lime_planner.ros.runner import run_node
 from lime_planner.ros.scene_source import SceneSource
@@ -125,7 +126,10 @@ class PlannerNode(Node):
 
     def shut_down(self) -> None:
         """Stop a motion, answer everyone and end the threads."""
-        if self.execution.stop(Status.CANCELLED, "the planner node shuts down"):
+        moving = self.execution.stop(Status.CANCELLED, "the planner node shuts down")
+        self.worker.refuse()
+        # A request that passed its point of no return in between has sent its motion by now, or holds the lock to do so.
+        if self.execution.stop(Status.CANCELLED, "the planner node shuts down") or moving:
             self._command.wait_for_all_acked(Duration(seconds=0.2))
         if self.viewer is not None:
             self.viewer.page.close()
@@ -163,10 +167,11 @@ class PlannerNode(Node):
         if aborted and motion.replans_left > 0 and not self.worker.busy:
 
             def replan(ticket: Ticket) -> Answer:
-                ticket.context["replans_left"] = motion.replans_left - 1
+                if self.execution.cancels != ended.cancels:
+                    raise Refusal(Status.CANCELLED, "the arm was stopped before the motion could be planned again")
                 return self.requests.plan(ticket)
 
-            self.worker.submit("replan", replan, self.desk.finish)
+            self.worker.submit("replan", replan, self.desk.finish, {**motion.context, "replans_left": motion.replans_left - 1})
 
     def _on_parameters(self, snapshot: Snapshot) -> None:
         if not snapshot.node.motion_enabled:  # whoever forbids motions means the one that runs too

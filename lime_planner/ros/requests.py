@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,8 +14,9 @@ import numpy.typing as npt
 from geometry_msgs.msg import PoseStamped
 
 from lime_planner.errors import LimePlannerError
+from lime_planner.ros.answers import target_values
 from lime_planner.ros.board import Board
-from lime_planner.ros.convert import stamp_text, target_matrix
+from lime_planner.ros.convert import target_matrix
 from lime_planner.ros.engine import Engine, Loaded
 from lime_planner.ros.execution import Execution
 from lime_planner.ros.frames import Frames
@@ -36,6 +38,9 @@ _SENDING_ATTEMPTS = 2
 
 #: How long after its deadline a plan is given up for it that has not looked at the clock: amid a cloud of millions of points, say.
 _GRACE_S = 0.02
+
+#: Time left until the deadline [s]; None without one.
+Left = Callable[[], float | None]
 
 
 @dataclass(frozen=True)
@@ -77,21 +82,43 @@ class Requests:
     look: Callable[[], None]
     previewed: tuple[Loaded, Shown] | None = None
 
+    def aim(self, kind: str, goal: PoseStamped | None = None) -> dict[str, Any]:
+        """Tell what a request will be about, as far as is known when it is made: it may be answered before its job begins.
+
+        Args:
+            kind: of the request.
+            goal: of `preview_to`.
+
+        Returns:
+            The context of its ticket.
+        """
+        target: Any = None
+        if kind == "retreat":
+            target = None if self.execution.last is None else self.execution.last.context.get("target")
+        elif kind == "execute":
+            target = None if self.previewed is None else self.previewed[1].target
+        else:
+            with contextlib.suppress(Refusal):  # the job will say what is wrong with it
+                target = self.inputs.peek_target() if goal is None else Target(target_matrix(goal), goal)
+        return {} if target is None else {"target": target}
+
     def plan(self, ticket: Ticket) -> Answer:
         """Plan to the newest target from rest, and send."""
         snapshot = self._begin(ticket)
         self._target(ticket, snapshot)  # a missing or bad target is answered before anything is waited for or stopped
         with self._ready(ticket, snapshot) as loaded:
-            for attempt in range(1, _SENDING_ATTEMPTS + 1):
-                self._come_to_rest(ticket, snapshot)
-                shown = self._planned(ticket, loaded, snapshot, self._target(ticket, snapshot))
-                if shown.result.status is not Status.SUCCEEDED:
-                    return _answer_of(shown.result)
-                try:
-                    return self._send(ticket, loaded, shown)
-                except Refusal as refusal:
-                    if refusal.status not in (Status.ARM_MOVING, Status.STEM_APPEARED) or attempt == _SENDING_ATTEMPTS:
-                        raise
+            self._come_to_rest(ticket, snapshot)
+            with _deadline(ticket, snapshot) as left_s:
+                for attempt in range(1, _SENDING_ATTEMPTS + 1):
+                    shown = self._planned(ticket, loaded, snapshot, self._target(ticket, snapshot), left_s)
+                    if shown.result.status is not Status.SUCCEEDED:
+                        return _answer_of(shown.result)
+                    try:
+                        return self._send(ticket, loaded, shown)
+                    except Refusal as refusal:
+                        if refusal.status not in (Status.ARM_MOVING, Status.STEM_APPEARED) or attempt == _SENDING_ATTEMPTS:
+                            raise
+                    self._come_to_rest(ticket, snapshot)
         raise AssertionError("unreachable")
 
     def preview(self, ticket: Ticket) -> Answer:
@@ -122,13 +149,14 @@ class Requests:
                 raise Refusal(Status.NOTHING_TO_EXECUTE, "the robot model has changed since the preview")
             self.board.note(ticket.plan_id, **_figures(result))
             self._come_to_rest(ticket, snapshot)
-            arm = self._arm(snapshot)
-            number = self.source().newest_stem_number()
-            scene = self.source().scene(snapshot, ticket.should_stop)
-            status, sentence = loaded.pipeline.recheck(result, scene, arm.q, snapshot.plan, should_stop=ticket.should_stop)
-            if status is not Status.SUCCEEDED:
-                return Answer(status, _bare(status, sentence))
-            return self._send(ticket, loaded, dataclasses.replace(shown, scene=scene, snapshot=snapshot, stem_number=number))
+            with _deadline(ticket, snapshot):
+                arm = self._arm(snapshot)
+                number = self.source().newest_stem_number()
+                scene = self.source().scene(snapshot, ticket.should_stop)
+                status, sentence = loaded.pipeline.recheck(result, scene, arm.q, snapshot.plan, should_stop=ticket.should_stop)
+                if status is not Status.SUCCEEDED:
+                    return Answer(status, _bare(status, sentence))
+                return self._send(ticket, loaded, dataclasses.replace(shown, scene=scene, snapshot=snapshot, stem_number=number))
 
     def retreat(self, ticket: Ticket) -> Answer:
         """Go back along the motion executed last, as far as the arm got."""
@@ -141,18 +169,21 @@ class Requests:
             target = last.context.get("target")
             if isinstance(target, Target):
                 self._note_target(ticket, target)
-            arm = self._arm(snapshot)
-            waypoints = way_back(last.result.waypoints, arm.q, forward=last.retreat)
-            number = self.source().newest_stem_number()
-            scene = self.source().scene(snapshot, ticket.should_stop)
-            self.board.show(ticket.plan_id, Phase.PLANNING)
-            T_base_tool, should_stop = last.T_base_tool, ticket.should_stop
-            result = self._guarded(lambda: loaded.pipeline.follow(waypoints, scene, T_base_tool, snapshot.plan, should_stop=should_stop))
-            shown = Shown(scene, T_base_tool, None, result, snapshot, number)
-            self._present(ticket, shown)
-            if result.status is not Status.SUCCEEDED:
-                return _answer_of(result)
-            return self._send(ticket, loaded, shown, retreat=True)
+            with _deadline(ticket, snapshot):
+                arm = self._arm(snapshot)
+                waypoints = way_back(last.result.waypoints, arm.q, forward=last.retreat)
+                number = self.source().newest_stem_number()
+                scene = self.source().scene(snapshot, ticket.should_stop)
+                self.board.show(ticket.plan_id, Phase.PLANNING)
+                T_base_tool, should_stop = last.T_base_tool, ticket.should_stop
+                result = self._guarded(
+                    lambda: loaded.pipeline.follow(waypoints, scene, T_base_tool, snapshot.plan, should_stop=should_stop)
+                )
+                shown = Shown(scene, T_base_tool, None, result, snapshot, number)
+                self._present(ticket, shown)
+                if result.status is not Status.SUCCEEDED:
+                    return _answer_of(result)
+                return self._send(ticket, loaded, shown, retreat=True)
 
     def _begin(self, ticket: Ticket) -> Snapshot:
         self.board.show(ticket.plan_id, Phase.PLANNING, kind=ticket.kind)
@@ -172,7 +203,8 @@ class Requests:
     def _preview(self, ticket: Ticket, snapshot: Snapshot, target: Callable[[], Target]) -> Answer:
         target()
         with self._ready(ticket, snapshot) as loaded:
-            shown = self._planned(ticket, loaded, snapshot, target())
+            with _deadline(ticket, snapshot) as left_s:
+                shown = self._planned(ticket, loaded, snapshot, target(), left_s)
             if ticket.answered:
                 return _answer_of(shown.result)
             self.previewed = (loaded, shown) if shown.result.status is Status.SUCCEEDED else None
@@ -184,14 +216,8 @@ class Requests:
         return target
 
     def _note_target(self, ticket: Ticket, target: Target) -> None:
-        header = target.msg.header
         ticket.context["target"] = target
-        self.board.note(
-            ticket.plan_id,
-            target_stamp=stamp_text(header.stamp),
-            target_frame=header.frame_id,
-            target_position=[round(float(v), 6) for v in target.T_frame_tool[:3, 3]],
-        )
+        self.board.note(ticket.plan_id, **target_values(ticket.context))
 
     def _arm(self, snapshot: Snapshot) -> ArmState:
         return self.inputs.joints.fresh(snapshot.node.max_joint_state_age_s, snapshot.node.max_clock_skew_s)
@@ -200,6 +226,8 @@ class Requests:
         """Stop what runs and wait until the arm is seen to rest."""
         node = snapshot.node
         self._arm(snapshot)
+        if ticket.answered:
+            raise Refusal(Status.CANCELLED, "the request was answered before it began")  # and must not stop what a newer one moves
         if self.execution.active:
             self.source().scene(snapshot, ticket.should_stop)  # a request that cannot be served does not stop a good motion
             self.execution.stop(Status.PREEMPTED, f"request {ticket.plan_id} ({ticket.kind}) took over")
@@ -215,15 +243,7 @@ class Requests:
             raise Refusal(Status.ARM_MOVING, f"the arm did not come to rest within {node.stillness_timeout_s:g} s")
         self.board.show(ticket.plan_id, Phase.PLANNING)
 
-    def _planned(self, ticket: Ticket, loaded: Loaded, snapshot: Snapshot, target: Target) -> Shown:
-        deadline_s = snapshot.node.deadline_s
-        if deadline_s <= 0.0:
-            return self._plan_once(ticket, loaded, snapshot, target)
-        late = Answer(Status.TIMED_OUT, f"the deadline of {deadline_s:.2f} s passed before a motion was certified")
-        with answered_after(deadline_s + _GRACE_S, ticket, late):
-            return self._plan_once(ticket, loaded, snapshot, target)
-
-    def _plan_once(self, ticket: Ticket, loaded: Loaded, snapshot: Snapshot, target: Target) -> Shown:
+    def _planned(self, ticket: Ticket, loaded: Loaded, snapshot: Snapshot, target: Target, left_s: Left) -> Shown:
         began_s = time.monotonic()
         header = target.msg.header
         arm = self._arm(snapshot)
@@ -235,11 +255,10 @@ class Requests:
         number = self.source().newest_stem_number()
         scene = self.source().scene(snapshot, ticket.should_stop)
         decode_s = time.monotonic() - began_s
-        deadline_s = max(snapshot.node.deadline_s - decode_s, 0.0) if snapshot.node.deadline_s > 0.0 else None
         seed = snapshot.plan.seed or int(np.random.default_rng().integers(1, 2**31 - 1))
         result = self._guarded(
             lambda: loaded.pipeline.plan(
-                scene, T_base_tool, arm.q, snapshot.plan, should_stop=ticket.should_stop, deadline_s=deadline_s, seed=seed
+                scene, T_base_tool, arm.q, snapshot.plan, should_stop=ticket.should_stop, deadline_s=left_s(), seed=seed
             )
         )
         shown = Shown(scene, T_base_tool, target, result, snapshot, number)
@@ -265,7 +284,7 @@ class Requests:
             Which stem clouds the motion was checked against.
         """
         result, snapshot = shown.result, shown.snapshot
-        self.inputs.check_not_withdrawn(shown.target)
+        self.inputs.check_target(shown.target, snapshot.node.max_target_age_s, snapshot.node.max_clock_skew_s)
         number = self.source().newest_stem_number()
         stems = self.source().changed_stems(shown.stem_number, snapshot, ticket.should_stop)
         if stems is not None:
@@ -296,6 +315,19 @@ class Requests:
         if self.source().newest_stem_number() != number:
             self.look()
         return _answer_of(result)
+
+
+@contextlib.contextmanager
+def _deadline(ticket: Ticket, snapshot: Snapshot) -> Iterator[Left]:
+    """Keep the deadline of one request, from here to the end of the block, whatever its job is busy with."""
+    deadline_s = snapshot.node.deadline_s
+    if deadline_s <= 0.0:
+        yield lambda: None
+        return
+    began_s = time.monotonic()
+    late = Answer(Status.TIMED_OUT, f"the deadline of {deadline_s:.2f} s passed before a motion was certified")
+    with answered_after(deadline_s + _GRACE_S, ticket, late):
+        yield lambda: max(began_s + deadline_s - time.monotonic(), 0.0)
 
 
 def _bare(status: Status, message: str) -> str:

@@ -117,7 +117,7 @@ class SceneNode(Node):
             return SetParametersResult(successful=True)
         try:
             self._pending = make_scene(self._values(changed))
-        except (LimePlannerError, TypeError, ValueError) as error:
+        except (LimePlannerError, TypeError, ValueError, OverflowError) as error:
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
 

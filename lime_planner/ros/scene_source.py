@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lime_planner.errors import SceneError
-from lime_planner.ros.clouds import decode_cloud
+from lime_planner.ros.clouds import COST_FIELD, decode_cloud
 from lime_planner.ros.frames import Frames
 from lime_planner.ros.inputs import CLOUDS, Inputs, Sample
 from lime_planner.ros.params import NodeSettings, Snapshot
@@ -22,7 +22,6 @@ Float32 = npt.NDArray[np.float32]
 #: Removes the arm from a scene: (scene, configuration at the cloud's stamp or None, padding [m]) -> scene.
 ArmFilter = Callable[[Scene, npt.NDArray[np.float64] | None, float], Scene]
 
-_COST = "permeability_cost"
 _LEAF, _HARD = 0, 1  # labels given here to the points of the two separate clouds
 
 
@@ -170,7 +169,7 @@ class SceneSource:
     def _part(self, name: str, sample: Sample, snapshot: Snapshot, should_stop: Callable[[], bool]) -> Scene:
         node = snapshot.node
         labelled = name == "labelled_cloud"
-        cloud = decode_cloud(sample.msg, name, required=(node.label_field,) if labelled else (), optional=(_COST,))
+        cloud = decode_cloud(sample.msg, name, required=(node.label_field,) if labelled else (), optional=(COST_FIELD,))
         header = sample.msg.header
         _ask(should_stop)  # between steps: each of them takes a fraction of a second where a cloud has millions of points
         points = self._in_planning_frame(cloud.points, header, node.tf_timeout_s, should_stop)
@@ -185,10 +184,10 @@ class SceneSource:
             stem_labels=node.stem_labels if labelled else (_HARD,),
             fruit_label=(node.fruit_labels[0] if node.fruit_labels else None) if labelled else None,
             ignored_labels=node.ignored_labels if labelled else (),
-            permeability_cost=cloud.columns.get(_COST),
+            permeability_cost=cloud.columns.get(COST_FIELD),
         )
         _ask(should_stop)
-        return self._arm_filter(scene, self._inputs.joints.at(sample.stamp_s), snapshot.plan.self_filter_padding_m)
+        return self._arm_filter(scene, self._inputs.arm_at_clouds.at(name, sample.number), snapshot.plan.self_filter_padding_m)
 
     def _in_planning_frame(self, points: Float32, header: object, timeout_s: float, should_stop: Callable[[], bool]) -> Float32:
         frame = header.frame_id.strip().lstrip("/")  # type: ignore[attr-defined]

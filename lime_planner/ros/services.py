@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any
 
@@ -15,7 +15,7 @@ from rclpy.task import Future
 from std_srvs.srv import Trigger
 
 from lime_planner.ros import qos
-from lime_planner.ros.answers import answer_message, log_line
+from lime_planner.ros.answers import about, answer_message, log_line, target_values
 from lime_planner.ros.board import Board
 from lime_planner.ros.convert import to_path
 from lime_planner.ros.execution import Execution
@@ -73,7 +73,8 @@ class Services:
         try:
             motion = self._execution.motion
             own = motion is not None and motion.plan_id == ticket.plan_id
-            self._board.show(ticket.plan_id, Phase.EXECUTING if own else Phase.DONE, answer.status, answer_message(ticket, answer))
+            phase, message = Phase.EXECUTING if own else Phase.DONE, answer_message(ticket, answer)
+            self._board.show(ticket.plan_id, phase, answer.status, message, **target_values(ticket.context))
             if motion is not None and not own:
                 self._board.show(motion.plan_id, Phase.EXECUTING)  # the newest status tells what the arm does
             self._log(answer.status is Status.INTERNAL_ERROR, log_line(ticket, answer))
@@ -81,19 +82,20 @@ class Services:
             self._log(True, traceback.format_exc())
 
     async def _trigger(self, kind: str, job: Callable[[Ticket], Answer], _request: Any, response: Any) -> Any:
-        ticket, answer = await self._ask(kind, job)
+        ticket, answer = await self._ask(kind, job, self._requests.aim(kind))
         response.success = bool(answer.status is Status.SUCCEEDED)
         response.message = answer_message(ticket, answer)
         return response
 
     async def _preview_to(self, request: Any, response: Any) -> Any:
-        _, answer = await self._ask("preview_to", lambda ticket: self._requests.preview_to(ticket, request.goal))
+        job = partial(self._requests.preview_to, goal=request.goal)
+        _, answer = await self._ask("preview_to", job, self._requests.aim("preview_to", request.goal))
         poses = answer.payload if answer.status is Status.SUCCEEDED else []
         robot = self._robot()
         response.plan = to_path(poses, robot.planning_frame if robot is not None else "", self._node.get_clock().now().to_msg())
         return response
 
-    async def _ask(self, kind: str, job: Callable[[Ticket], Answer]) -> tuple[Ticket, Answer]:
+    async def _ask(self, kind: str, job: Callable[[Ticket], Answer], context: Mapping[str, Any]) -> tuple[Ticket, Answer]:
         future = Future()
 
         def on_answer(ticket: Ticket, answer: Answer) -> None:
@@ -105,7 +107,7 @@ class Services:
 
         self._waiting += 1
         try:
-            self._worker.submit(kind, job, on_answer)
+            self._worker.submit(kind, job, on_answer, context)
             result: tuple[Ticket, Answer] = await future
         finally:
             self._waiting -= 1
@@ -130,10 +132,19 @@ class Services:
     def stop_everything(self) -> str:
         """Stop a motion and cancel every request; from any thread. What was stopped, in words."""
         snapshot: Snapshot = self._requests.snapshot()
-        moving = self._execution.stop(Status.CANCELLED, "stopped by ~/stop") or self._execution.hold_foreign_motion(snapshot)
+        moving = self._execution.stop(Status.CANCELLED, "stopped by ~/stop")
+        foreign = "" if moving else self._execution.hold_foreign_motion(snapshot)
         cancelled = self._worker.cancel("stopped by ~/stop")
         # A request that had committed before it could be cancelled has sent its motion by now, or holds the lock to do so.
         moving = self._execution.stop(Status.CANCELLED, "stopped by ~/stop") or moving
-        sentence = f"{'the motion is being stopped' if moving else 'no motion was running'}; {cancelled} request(s) cancelled"
+        words = "the motion is being stopped" if moving else foreign or "no motion was running"
+        sentence = f"{words}; {cancelled} request(s) cancelled {self._about_the_stopped()}"
         self._log(False, f"stop: {Status.SUCCEEDED.message(sentence)}")
         return sentence
+
+    def _about_the_stopped(self) -> str:
+        """Name the motion that is being stopped, else the newest request."""
+        motion, ticket = self._execution.ending, self._worker.newest
+        if motion is not None:
+            return about(motion.plan_id, motion.context)
+        return about(0, {}) if ticket is None else about(ticket.plan_id, ticket.context)

@@ -10,7 +10,7 @@ from __future__ import annotations
 import contextlib
 import threading
 import traceback
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -120,6 +120,7 @@ class Worker:
         self._submitting = threading.Lock()  # one submitter at a time: nobody's request is overwritten unanswered
         self._waiting: tuple[Ticket, Callable[[Ticket], Answer]] | None = None
         self._current: Ticket | None = None
+        self._newest: Ticket | None = None
         self._count = 0
         self._closed = False
         self._thread = threading.Thread(target=self._run, name="planning", daemon=True)
@@ -136,17 +137,29 @@ class Worker:
         """The request in work."""
         return self._current
 
-    def submit(self, kind: str, job: Callable[[Ticket], Answer], on_answer: Callable[[Ticket, Answer], None]) -> Ticket:
+    @property
+    def newest(self) -> Ticket | None:
+        """The request that came last, answered or not."""
+        return self._newest
+
+    def submit(
+        self,
+        kind: str,
+        job: Callable[[Ticket], Answer],
+        on_answer: Callable[[Ticket, Answer], None],
+        context: Mapping[str, Any] | None = None,
+    ) -> Ticket:
         """Hand in a request; it takes the place of every older one.
 
         Args:
             kind: its name.
             job: does the work in the worker's thread; its return value is the answer. A `Refusal` it raises is one too.
             on_answer: see `Ticket`.
+            context: what is known about it before the job begins.
         """
         with self._submitting:
             self._count += 1
-            ticket = Ticket(self._count, kind, on_answer)
+            ticket = self._newest = Ticket(self._count, kind, on_answer, dict(context or {}))
             preempted = Answer(Status.PREEMPTED, f"request {ticket.plan_id} ({kind}) took over")
             for other in self._older():
                 other.take_away(preempted)
@@ -172,12 +185,16 @@ class Worker:
         with self._condition:
             return self._condition.wait_for(lambda: self._current is None and self._waiting is None, timeout_s)
 
-    def close(self, timeout_s: float = 2.0) -> bool:
-        """Cancel what there is and end the thread; False if it does not end in time."""
+    def refuse(self) -> None:
+        """Cancel what there is and take nothing more: from now on no request passes its point of no return."""
         with self._condition:
             self._closed = True
             self._condition.notify_all()
         self.cancel("the node is shutting down")
+
+    def close(self, timeout_s: float = 2.0) -> bool:
+        """Cancel what there is and end the thread; False if it does not end in time."""
+        self.refuse()
         self._thread.join(timeout_s)
         return not self._thread.is_alive()
 

@@ -17,7 +17,7 @@ Indices = npt.NDArray[np.int32]
 Mask = npt.NDArray[np.bool_]
 
 #: Classes are left as they are up to these numbers of points, and thinned by the first of these voxels that gets them to about that
-#: (the last one if none does). Stems and fruit stay fine: what they are displaced by is added to the stem margin.
+#: (the last one if none does). Stems and fruit stay fine: what they are displaced by is added to the radius of their points.
 MAX_STEM_POINTS = 100_000
 MAX_LEAF_POINTS = 150_000
 STEM_VOXELS_M = (0.001, 0.002, 0.003)
@@ -41,7 +41,7 @@ def clean_scene(
 
     No stem point is ever an outlier: a thin twig would be one. Thinning keeps points of the cloud; how far a dropped one lies from
     the one that stands for it is in `stem_displacement_m` and `leaf_displacement_m` of the result, on top of what the scene had,
-    and the stem margin must grow by it. A thinned leaf point has the highest permeability cost of those it stands for. Ground
+    and the radius of stem points must grow by it. A thinned leaf point has the highest permeability cost of those it stands for. Ground
     truth and target stay as they are; what was dropped is added to `counts` as `cropped`, `thinned_stem`, `thinned_leaf`,
     `outliers`.
 
