@@ -26,6 +26,7 @@ STEM_RADIUS_M = 0.004
 EXCLUSION_M, APPROACH_M, PADDING_M = 0.06, 0.10, 0.01  # the planner's defaults
 START_TOLERANCE_RAD = 0.012  # the contract's 0.01, and what one joint state may move on the way to us
 STAMP_S = 0.4  # how well the moment of a cloud's stamp is known here
+ON_THE_WAY_S = 0.05  # a command that left before a stop may come after its answer
 STOP_REACH_RAD = 0.15  # a stop ends at most this far from the newest joint state, or from the path
 _REMEMBERED_S = 60.0
 
@@ -79,6 +80,7 @@ class Judge:
         self.world: World | None = None
         self._running: tuple[float, Trajectory, np.ndarray | None] | None = None
         self._checker: tuple[World, tuple[float, ...], ExactChecker] | None = None
+        self._quiet: deque[list[float]] = deque(maxlen=4)  # from a stop's answer to the next request nothing may move
 
     def state(self, q: np.ndarray) -> None:
         """Take note of a joint state."""
@@ -86,6 +88,16 @@ class Judge:
         self._states.append((now_s, q))
         while self._states[0][0] < now_s - _REMEMBERED_S:
             self._states.popleft()
+
+    def asked(self, kind: str) -> None:
+        """Take note of a request."""
+        if kind != "stop" and self._quiet:
+            self._quiet[-1][1] = min(self._quiet[-1][1], time.monotonic())
+
+    def answered(self, kind: str) -> None:
+        """Take note of an answer."""
+        if kind == "stop":
+            self._quiet.append([time.monotonic(), np.inf])
 
     def newest(self, before_s: float = np.inf) -> np.ndarray | None:
         """The newest joint state before a moment."""
@@ -159,6 +171,8 @@ class Judge:
         )
         if self._running is not None and at_s < self._running[0] + self._running[1].duration_s - 0.05:
             found.append("it was sent while another motion ran")
+        if any(since_s + ON_THE_WAY_S < at_s < until_s for since_s, until_s in self._quiet):
+            found.append("it was sent after a stop, and nobody had asked for it since")
         known, target = target_of(trajectory, statuses)
         if not known:
             found.append("no status tells what it is for")

@@ -74,6 +74,7 @@ class Steps:
     def ask(self, name: str, request: Any = None) -> Any:
         """Send a request; its answer is judged when it comes."""
         self.requests += 1
+        self.judge.asked(name)
         began = time.monotonic()
         future = self.bench.call_async(name, request)
         future.began, future.kind = began, name
@@ -91,12 +92,12 @@ class Steps:
         if future.kind == "preview_to":
             return "SUCCEEDED" if response.plan.poses else "refused"
         code = code_of(response.message)
+        self.judge.answered(future.kind)
         self.codes[f"{future.kind} {code}"] += 1
         self.examples[code] = response.message[:300]
-        if code not in _CODES or len(response.message) < len(code) + 5 or response.success != (code == "SUCCEEDED"):
+        odd = code not in _CODES or code == "INTERNAL_ERROR" or len(response.message) < len(code) + 5
+        if odd or response.success != (code == "SUCCEEDED"):
             self.violations.append(f"{future.kind} answered {response.success} {response.message!r}")
-        if code == "INTERNAL_ERROR":
-            self.violations.append(f"{future.kind}: {response.message}")
         return code
 
     def pause(self, longest_s: float) -> None:
