@@ -26,8 +26,6 @@ from lime_planner.ros.scene_node import make_scene
 from lime_planner.scene.targets import lime_targets
 from lime_planner.status import Status
 
-_CODES = {status.name for status in Status}
-
 
 class SoakBench(Bench):
     """The operator's side; every joint state goes to the judge."""
@@ -95,7 +93,7 @@ class Steps:
         self.judge.answered(future.kind)
         self.codes[f"{future.kind} {code}"] += 1
         self.examples[code] = response.message[:300]
-        odd = code not in _CODES or code == "INTERNAL_ERROR" or len(response.message) < len(code) + 5
+        odd = code not in Status.__members__ or code == "INTERNAL_ERROR" or len(response.message) < len(code) + 5
         if odd or response.success != (code == "SUCCEEDED"):
             self.violations.append(f"{future.kind} answered {response.success} {response.message!r}")
         return code
