@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -19,6 +20,10 @@ from lime_planner.experiments.problems import ProblemSpec, SceneSpec, build_prob
 from lime_planner.jit import kernel
 from lime_planner.pipeline.finish import sample_path
 from lime_planner.pipeline.goals import measure
+from lime_planner.planning import lime_run, lime_star
+from lime_planner.planning.lime_options import LimeOptions
+from lime_planner.planning.lime_star import plan_lime
+from lime_planner.planning.plane import random_wall
 from lime_planner.space import edge, evaluate
 
 PLANT = "sparse:4"
@@ -188,3 +193,25 @@ def test_kernels_are_timed_beside_their_targets(tmp_path, capsys):
     printed = capsys.readouterr().out
     assert "full check near the" in printed and max(map(len, printed.splitlines())) <= 80
     assert main(["bench", "kernels", "--repeats", "0"]) == 1
+
+
+def test_times_are_counted_from_the_call(monkeypatch):
+    now = [100.0]
+
+    class SlowRun(lime_run.Run):
+        def __init__(self, *values):
+            now[0] += 7.0  # checks of start and goals, and the run's memory
+            super().__init__(*values)
+
+    world = random_wall(3)
+    problem = (world.space(), world.start, world.goal, LimeOptions(weight=30.0), 1)
+    expected = plan_lime(*problem, iterations=300)
+    clock = SimpleNamespace(monotonic=lambda: now[0])
+    monkeypatch.setattr(lime_run, "time", clock)
+    monkeypatch.setattr(lime_star, "time", clock)
+    monkeypatch.setattr(lime_star, "Run", SlowRun)
+    outcome = plan_lime(*problem, iterations=300)
+    assert outcome.first_path_s == 7.0 and (outcome.history[:, 0] == 7.0).all()
+    np.testing.assert_array_equal(outcome.path, expected.path)
+    np.testing.assert_array_equal(outcome.history[:, 1:], expected.history[:, 1:])
+    assert (outcome.cost, outcome.states_checked) == (expected.cost, expected.states_checked)

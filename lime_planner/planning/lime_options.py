@@ -43,7 +43,7 @@ class LimeOutcome:
         status: SUCCEEDED, or NO_PATH, TIMED_OUT, CANCELLED (also with a path), START_INVALID, GOAL_IN_STEM.
         iterations: configurations sampled, by whatever part.
         states_checked, edges_checked: work done.
-        first_path_s: time until the first path [s], NaN without.
+        first_path_s: time from the call until the first path [s], NaN without.
         history: (K, 3) time [s], iterations and cost at each improvement.
     """
 

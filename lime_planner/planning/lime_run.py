@@ -68,6 +68,7 @@ class Run:
         seed: int,
         iterations: int | None = None,
         over: Callable[[Run], bool] = lambda _: False,
+        began: float | None = None,
     ) -> None:
         """Prepare a run.
 
@@ -75,7 +76,9 @@ class Run:
             space, start, goals, options, seed: as for `plan_lime`, everything valid.
             iterations: budget, None for none.
             over: tells whether the run has ended.
+            began: reading of `time.monotonic` from which times are counted [s], None for now.
         """
+        self.began = time.monotonic() if began is None else began
         n = len(start)
         self.space, self.start, self.options = space, start, options
         self.goals = goals
@@ -102,7 +105,6 @@ class Run:
         self.rounds = 0
         self._rooted: tuple[bytes, bool] | None = None
         self.history: list[tuple[float, int, float]] = []
-        self.began = time.monotonic()
 
     def elapsed(self) -> float:
         """Time since the run began [s]."""

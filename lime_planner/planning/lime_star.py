@@ -16,6 +16,7 @@ A sample or a path that cannot lead below the best cost is pruned: the straight 
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Callable
 from typing import Any
 
@@ -112,12 +113,13 @@ def plan_lime(
         seed: of the generator.
         iterations: budget of sampled configurations, None for none.
         should_stop: True ends the search; asked every few milliseconds.
-        deadline_s: search time [s], None for none.
+        deadline_s: search time from the call on [s], None for none.
         watch: is shown the roadmap (`roadmap.Roadmap`) when the search has ended.
 
     Raises:
         ProblemError: malformed start or goals, or no end of the search given.
     """
+    began = time.monotonic()  # checks of start and goals and the run's memory are part of what a user waits for
     n = len(space.lower)
     q_start = np.ascontiguousarray(start, dtype=np.float64)
     q_goals = np.ascontiguousarray(np.atleast_2d(np.asarray(goals, dtype=np.float64)))
@@ -144,7 +146,7 @@ def plan_lime(
             ended.append(Status.TIMED_OUT)
         return bool(ended)
 
-    run = Run(space, q_start, q_goals[leaf >= 0.0], options, seed, iterations, over)
+    run = Run(space, q_start, q_goals[leaf >= 0.0], options, seed, iterations, over, began)
     if options.weight > 0.0:  # otherwise leaves are air
         run.start_leaf, run.goal_leaf = float(one(space, q_start)), leaf[leaf >= 0.0]
     _search(run)
