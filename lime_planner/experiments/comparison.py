@@ -123,7 +123,7 @@ def _peer(problem: Problem, run: Run, settings: Mapping[str, Any]) -> dict[str, 
     if run.method == PYROBOPLAN:
         from lime_planner.experiments.peers_pyroboplan import run_pyroboplan
 
-        return run_pyroboplan(problem, run.seed, run.seconds, settings, clock=run.clock)
+        return run_pyroboplan(problem, run.seed, run.seconds, settings, clock=run.clock, min_checks=run.min_checks)
     from lime_planner.experiments.peers_ompl import run_ompl
 
     name = run.method.removeprefix(OMPL_PREFIX)

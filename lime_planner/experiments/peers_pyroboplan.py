@@ -20,7 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lime_planner.experiments.compiled_checks import CompiledChecks
-from lime_planner.experiments.planner_runs import CLOCKS, Curve, record
+from lime_planner.experiments.planner_runs import CLOCKS, Curve, record, seldom
 from lime_planner.experiments.problems import Problem
 
 Array = npt.NDArray[np.float64]
@@ -84,8 +84,22 @@ def _our_checks(problem: Problem, now: Callable[[], float]) -> Iterator[Compiled
             setattr(module, name, function)
 
 
-def run_pyroboplan(problem: Problem, seed: int, seconds: float, settings: Mapping[str, Any], *, clock: str = "wall") -> dict[str, Any]:
+def _cost(checks: CompiledChecks, path: Array, bound: float) -> float:
+    """J of a path (M, n), edge by edge; anything not below the bound once it has come so far."""
+    total = 0.0
+    for a, b in itertools.pairwise(path.tolist()):
+        total += checks.cost(a, b, bound - total)
+        if not total < bound:
+            break
+    return total
+
+
+def run_pyroboplan(
+    problem: Problem, seed: int, seconds: float, settings: Mapping[str, Any], *, clock: str = "wall", min_checks: int = 0
+) -> dict[str, Any]:
     """Run pyroboplan until the time is over.
+
+    J of its paths is evaluated by compiled checks that are made before the clock starts, and that do not count among its own.
 
     Args:
         problem: the problem.
@@ -93,6 +107,7 @@ def run_pyroboplan(problem: Problem, seed: int, seconds: float, settings: Mappin
         seconds: the budget.
         settings: options of its planner by name, and `shorten_iterations`.
         clock: `wall` or `cpu`.
+        min_checks: go on until so many configurations are checked, at most four times as long.
     """
     from pyroboplan.planning.path_shortcutting import shortcut_path
     from pyroboplan.planning.rrt import RRTPlanner, RRTPlannerOptions
@@ -100,14 +115,16 @@ def run_pyroboplan(problem: Problem, seed: int, seconds: float, settings: Mappin
     values = dict(settings)
     shorten = int(values.pop("shorten_iterations", 200))
     now, model, curve = CLOCKS[clock], _Model(problem), Curve()
-    wall_s, began_s = time.perf_counter(), now()
     best: tuple[float, Array | None] = (math.inf, None)
-    with _our_checks(problem, now) as checks:
+    goals = problem.goals.configurations
+    costs = CompiledChecks(problem.space(), problem.settings.weight)
+    with _our_checks(problem, seldom(now)) as checks:
+        wall_s, began_s = time.perf_counter(), now()
         for attempt in itertools.count():
-            left_s = seconds - (now() - began_s)
+            limit_s = seconds if checks.checks >= min_checks else 4.0 * seconds
+            left_s = limit_s - (now() - began_s)
             if left_s <= 0.0:
                 break
-            goals = problem.goals.configurations
             options = RRTPlannerOptions(
                 rng_seed=seed * 100_003 + attempt,
                 max_step_size=_UNLIMITED_STEP_RAD,
@@ -119,9 +136,11 @@ def run_pyroboplan(problem: Problem, seed: int, seconds: float, settings: Mappin
             rows = RRTPlanner(model, model, options).plan(problem.start, goals[attempt % len(goals)])
             if not rows:
                 continue
-            for path in (rows, shortcut_path(model, model, rows, max_iters=shorten, max_step_size=_UNLIMITED_STEP_RAD)):
+            shortened = list(rows)  # a copy: the shortcutting overwrites waypoints of the list that it is given
+            shortened = shortcut_path(model, model, shortened, max_iters=shorten, max_step_size=_UNLIMITED_STEP_RAD)
+            for path in (rows, shortened):
                 found = np.array(path)
-                cost = problem.cost(found)
+                cost = _cost(costs, found, best[0])
                 if cost < best[0]:
                     best = (cost, found)
                     curve.add(now() - began_s, checks.checks, cost)

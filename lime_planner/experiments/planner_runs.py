@@ -29,6 +29,26 @@ _WARM_ITERATIONS = 800  # enough to pass through every part of a search
 OWN_METHODS = ("lime_star", "apf_rrt_star", "apf_rrt_star_integral", "rrt_star", "p_rrt_star")
 
 
+_READ_EVERY_S = 0.0005
+
+
+def seldom(clock: Callable[[], float]) -> Callable[[], float]:
+    """The same clock, read at most every half millisecond [s]; the last reading is given in between.
+
+    Reading a thread's own time is a system call of microseconds: a planner that asks in each iteration would be charged for that.
+    """
+    read_s, value_s = -math.inf, 0.0
+
+    def reading() -> float:
+        nonlocal read_s, value_s
+        now_s = time.perf_counter()
+        if now_s - read_s > _READ_EVERY_S:
+            read_s, value_s = now_s, clock()
+        return value_s
+
+    return reading
+
+
 @dataclass
 class Curve:
     """Improvements of the best path while a planner runs: (time [s], configurations checked, J), J falling."""
