@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import math
 
@@ -13,10 +14,11 @@ from lime_planner.errors import ParameterError
 from lime_planner.experiments import comparison_report as report
 from lime_planner.experiments import peers_pyroboplan
 from lime_planner.experiments.comparison import Comparison, Run, carry_out, load_settings, missing_library
+from lime_planner.experiments.compiled_checks import CompiledChecks
 from lime_planner.experiments.isolated import run_isolated
 from lime_planner.experiments.peers_search import GRIDS, candidates, choose
 from lime_planner.experiments.problem_sets import choose_problems, plant_specs
-from lime_planner.experiments.problems import build_problem
+from lime_planner.experiments.problems import Problem, build_problem
 
 PLANT = "sparse:4"
 TRIAL_KEYS = {"problem", "method", "seed", "seconds", "checks", "curve", "cost"}
@@ -127,6 +129,9 @@ def test_ompl_gives_valid_paths_and_keeps_improving(problem):
         record = carry_out(Run(problem.spec, method, 1, 0.6, (0.6,), "cpu", values, keep_path=True))
         assert "failure" not in record, record
         assert record["checks"] > 100 and 0.0 < record["compiled_share"] < record["callback_share"] <= 1.0
+        assert record["callback_share"] == 1.0 or record["callback_share"] > record["compiled_share"] + record["heuristic_share"]
+        if method == "ompl_bit_star":
+            assert record["heuristic_share"] > 0.0 and record["heuristics"] > 1000 and record["polls"] > 10
         if method in ("ompl_bit_star", "ompl_rrt_connect"):
             assert record["cost"] is not None
         if record["cost"] is not None:
@@ -153,6 +158,10 @@ def _heuristics(problem):
 
     planner.solve(peers_ompl.ob.PlannerTerminationCondition(over))
     objective = setup.objective
+    before = setup.length.cache_info().misses
+    assert before > 1000  # calls of BIT*
+    objective.motionCostHeuristic(a, b)
+    assert setup.length.cache_info().misses == before + 1
     return objective.motionCostHeuristic(a, b).value(), objective.motionCost(a, b).value(), int(planner.numBatches())
 
 
@@ -162,6 +171,63 @@ def test_ompl_is_given_an_admissible_heuristic(problem):
     length = float(np.linalg.norm(problem.goals.configurations[0] - problem.start))
     assert heuristic == pytest.approx(length) and cost >= length
     assert batches >= 2  # with the true cost for a heuristic BIT* ends at its first path
+
+
+def _evaluations(problem):
+    from lime_planner.experiments import peers_ompl
+
+    setup = peers_ompl._Setup(problem, costs=False)
+    callbacks, shortening = setup.callbacks, [False]
+    asked = {"with leaves": [], "without": [], "without, while shortening": []}
+
+    def noting(checks, name):
+        plain = checks.cost
+
+        def cost(a, b):
+            key = frozenset((tuple(a), tuple(b)))
+            asked[name].append(key)
+            if shortening[0] and name == "without":
+                asked["without, while shortening"].append(key)
+            return plain(a, b)
+
+        checks.cost = cost
+
+    noting(callbacks.checks, "with leaves")
+    noting(callbacks.leafless, "without")
+
+    class Simplifier(peers_ompl.og.PathSimplifier):
+        def partialShortcutPath(self, path):
+            shortening[0] = True
+            changed = super().partialShortcutPath(path)
+            shortening[0] = False
+            return changed
+
+    peers_ompl.og.PathSimplifier = Simplifier
+    over = itertools.count()
+    costs = []
+    settings = {"range": 3.0, "shorten_rounds": 3}
+    peers_ompl._connect_and_shorten(setup, settings, lambda: next(over) > 400, lambda _, cost: costs.append(cost))
+    # A way back is found in the memory, whoever asked first.
+    a, b = setup.state(problem.start), setup.state(problem.goals.configurations[0])
+    for function in (callbacks.clear, callbacks.edge):
+        function(a, b)
+        before = sum(map(len, asked.values()))
+        assert function(b, a) == function(a, b)
+        assert sum(map(len, asked.values())) == before
+    before = len(asked["without"])
+    callbacks._clear.clear()
+    assert callbacks.clear(a, b) == (callbacks.edge(a, b) < math.inf)
+    assert len(asked["without"]) == before
+    return {name: (len(keys), len(set(keys))) for name, keys in asked.items()}, costs
+
+
+def test_ompl_evaluates_no_edge_twice(problem):
+    pytest.importorskip("ompl", reason="OMPL is not installed: pip install 'lime_planner[bench]'")
+    counts, costs = run_isolated(_evaluations, problem, timeout_s=120.0)
+    assert len(costs) >= 1
+    assert counts["with leaves"][0] == counts["with leaves"][1] > 100
+    assert counts["without"][0] == counts["without"][1] > 10
+    assert counts["without, while shortening"] == (0, 0)
 
 
 def test_peers_are_compared(tmp_path, capsys):
@@ -185,3 +251,40 @@ def test_pyroboplan_gives_valid_paths(problem):
     record = carry_out(Run(problem.spec, "pyroboplan", 1, 0.6, (0.6,), "cpu", (("max_connection_dist", 1.0),), keep_path=True))
     assert "failure" not in record, record
     assert record["cost"] is not None and record["checks"] > 10
+
+
+def _pyroboplan(problem):
+    calls = {"space": 0, "cost": 0}
+
+    def counting(name):
+        plain = getattr(Problem, name)
+
+        def function(*values):
+            calls[name] += 1
+            return plain(*values)
+
+        return function
+
+    for name in calls:
+        setattr(Problem, name, counting(name))
+    settings = {"max_connection_dist": 1.0}
+    return peers_pyroboplan.run_pyroboplan(problem, 1, 0.2, settings, clock="cpu", min_checks=60_000), calls
+
+
+def test_pyroboplan_is_not_charged_for_our_measuring(problem):
+    if not peers_pyroboplan.installed():
+        pytest.skip("pyroboplan is not installed: pip install meshcat && pip install --no-deps pyroboplan")
+    record, calls = run_isolated(_pyroboplan, problem, timeout_s=120.0)
+    assert calls == {"space": 3, "cost": 1}  # its checks, our costs and the final path's measure; none of them for each path
+    assert record["cost"] == pytest.approx(record["curve"][-1][2], rel=1e-4)
+    assert record["checks"] >= 60_000 or record["spent_s"] >= 0.8
+
+
+def test_costs_of_paths_are_summed_up_to_a_bound(problem):
+    checks = CompiledChecks(problem.space(), problem.settings.weight)
+    path = np.linspace(problem.start, problem.goals.configurations[0], 5) + 0.02 * np.eye(5, 6)
+    whole = sum(checks.cost(a, b) for a, b in itertools.pairwise(path.tolist()))
+    assert peers_pyroboplan._cost(checks, path, math.inf) == pytest.approx(whole)
+    edges = checks.edges
+    assert peers_pyroboplan._cost(checks, path, 1e-3) >= 1e-3
+    assert checks.edges == edges + 1

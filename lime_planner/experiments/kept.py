@@ -104,7 +104,7 @@ def _keep_comparison(results: Mapping[str, Any]) -> Results:
 
     trials = []
     for t in results["trials"]:
-        kept = _without(t, "path", "edges", "callbacks", "iterations")
+        kept = _without(t, "path", "edges", "callbacks", "heuristics", "polls", "iterations")
         trials.append(kept | {"curve": thin_curve(t["curve"], results["options"]["marks_s"], CHECK_MARKS)})
     problems = [p if isinstance(p, str) else _problem_key(p) for p in results["problems"]]
     return _without(results, "trials", "problems") | {"problems": problems, "trials": trials}

@@ -5,15 +5,17 @@ What decides whether OMPL gets a fair chance from Python (2.0.1):
 - The edge cost must be overridden on `PathLengthOptimizationObjective`: overrides on `StateCostIntegralObjective` are ignored.
 - That class takes its heuristics from the same method. Left alone, they would become the true cost of the straight line: not
   admissible, so that BIT* ends at its first path and informed sampling prunes good ones, and as dear as an edge. They are bound to the
-  length, computed by OMPL itself without a Python frame in between.
+  length, computed by OMPL itself without a Python frame in between. No class of OMPL's has this heuristic and a cost of one's own
+  without a way through Python: its dispatch is measured before each run, and what the calls cost is reported (`peers_dispatch`).
 - Edges must be checked by a `MotionValidator` of one's own, not state by state.
-- An edge that OMPL asks about twice, once for its cost and once for its validity, is evaluated once.
+- An edge that OMPL asks about twice, once for its cost and once for its validity, is evaluated once. RRT-Connect's trees leave leaves
+  out of account, which is cheaper; only the few edges of a path that they find are evaluated again, for its cost.
+- Reading the clock in every turn of a planner's loop costs more than many such turns: it is read every half millisecond.
 """
 
 from __future__ import annotations
 
 import contextlib
-import functools
 import math
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -26,93 +28,41 @@ from ompl import geometric as og
 from ompl import util as ou
 
 from lime_planner.errors import ParameterError
-from lime_planner.experiments.compiled_checks import CompiledChecks
+from lime_planner.experiments.peers_callbacks import Callbacks, stopping
+from lime_planner.experiments.peers_dispatch import counted, dispatch_times
 from lime_planner.experiments.planner_runs import CLOCKS, Curve, record
 from lime_planner.experiments.problems import Problem
 
 Array = npt.NDArray[np.float64]
 
 OMPL_METHODS = ("rrt_star", "informed_rrt_star", "bit_star", "rrt_connect")
-_REMEMBERED = 200_000  # edges kept
-_POLL_S = 0.0005  # the best cost is asked for this often
-
-
-class Callbacks:
-    """What OMPL calls, and how long it takes.
-
-    Attributes:
-        checks: the compiled checks; leafless: the same without leaves, one count for both.
-        calls: number of callbacks; callback_s: time spent in them [s].
-    """
-
-    def __init__(self, problem: Problem) -> None:
-        space = problem.space()
-        self.checks = CompiledChecks(space, problem.settings.weight)
-        self.leafless = CompiledChecks(space._replace(own_leaves=False), 0.0)
-        self.n = len(problem.start)
-        self._all = slice(0, self.n)
-        self._costs: dict[tuple[float, ...], float] = {}
-        self.calls, self.callback_s = 0, 0.0
-
-    def valid(self, state: Any) -> bool:
-        """Whether a state is valid."""
-        began = time.perf_counter()
-        answer = self.checks.valid(state[self._all])
-        self.calls += 1
-        self.callback_s += time.perf_counter() - began
-        return answer
-
-    def edge(self, a: Any, b: Any) -> float:
-        """J of an edge, inf where it is blocked."""
-        began = time.perf_counter()
-        first, second = a[self._all], b[self._all]
-        key = (*first, *second)
-        cost = self._costs.get(key)
-        if cost is None:
-            cost = self.checks.cost(first, second)
-            if len(self._costs) >= _REMEMBERED:
-                self._costs.clear()
-            self._costs[key] = cost
-            self._costs[(*second, *first)] = cost
-        self.calls += 1
-        self.callback_s += time.perf_counter() - began
-        return cost
-
-    def clear(self, a: Any, b: Any) -> bool:
-        """Whether an edge is clear of everything hard, leaves left out of account: for planners that look for any path."""
-        began = time.perf_counter()
-        answer = self.leafless.cost(a[self._all], b[self._all]) < math.inf
-        self.calls += 1
-        self.callback_s += time.perf_counter() - began
-        return answer
-
-    @property
-    def compiled_s(self) -> float:
-        """Time spent in compiled checks [s]."""
-        return self.checks.compiled_s + self.leafless.compiled_s
 
 
 class _Motions(ob.MotionValidator):
+    """Validity of edges.
+
+    Attributes:
+        costs: answer from their costs, which will be asked for as well; otherwise leaves are left out of account.
+    """
+
     def __init__(self, information: Any, callbacks: Callbacks, *, costs: bool) -> None:
         super().__init__(information)
-        self._callbacks, self._costs = callbacks, costs
+        self._callbacks, self.costs = callbacks, costs
 
     def checkMotion(self, a: Any, b: Any) -> bool:
-        if self._costs:
+        if self.costs:
             return self._callbacks.edge(a, b) < math.inf
         return self._callbacks.clear(a, b)
 
 
-def _objective(information: Any, callbacks: Callbacks) -> Any:
+def _objective(information: Any, callbacks: Callbacks, length: Callable[[Any, Any], Any]) -> Any:
     """J as OMPL's objective, with the length as its admissible heuristic."""
-    length = ob.PathLengthOptimizationObjective(information)
     edge, make = callbacks.edge, ob.Cost
 
     def motion_cost(self: Any, a: Any, b: Any) -> Any:
         return make(edge(a, b))
 
-    # Partial: OMPL's binding takes a bare function of its own for "not overridden", and a Python function would be slower.
-    heuristic = staticmethod(functools.partial(length.motionCost))
+    heuristic = staticmethod(length)
     methods = {"motionCost": motion_cost, "motionCostHeuristic": heuristic, "motionCostBestEstimate": heuristic}
     objective = type("Cost", (ob.PathLengthOptimizationObjective,), methods)(information)
     objective.setCostThreshold(make(0.0))  # never good enough: planners go on until their time is over
@@ -137,7 +87,8 @@ class _Setup:
         self.motions = _Motions(self.information, self.callbacks, costs=costs)
         self.information.setMotionValidator(self.motions)
         self.information.setup()
-        self.objective = _objective(self.information, self.callbacks)
+        self.length = counted(ob.PathLengthOptimizationObjective(self.information).motionCost)
+        self.objective = _objective(self.information, self.callbacks, self.length)
         self.goal = ob.GoalStates(self.information)
         self._states = []
         for row in problem.goals.configurations:
@@ -193,17 +144,16 @@ def _optimise(setup: _Setup, method: str, settings: Mapping[str, Any], over: Cal
     planner = _planner(setup, method, settings)
     planner.setProblemDefinition(definition)
     planner.setup()
-    asked_s = 0.0
+    noted = math.inf
 
-    def stop() -> bool:
-        nonlocal asked_s
-        now_s = time.perf_counter()
-        if now_s - asked_s > _POLL_S:
-            asked_s = now_s
-            note(float(planner.bestCost().value()))
-        return over()
+    def watch() -> None:
+        nonlocal noted
+        cost = float(planner.bestCost().value())
+        if cost < noted:
+            noted = cost
+            note(cost)
 
-    planner.solve(ob.PlannerTerminationCondition(stop))
+    planner.solve(ob.PlannerTerminationCondition(stopping(setup.callbacks, over, watch)))
     note(float(planner.bestCost().value()))
     return setup.rows(definition.getSolutionPath()) if definition.hasExactSolution() else None
 
@@ -216,17 +166,21 @@ def _connect_and_shorten(
     own = {k: v for k, v in settings.items() if not k.startswith("shorten_")}
     rounds = int(settings.get("shorten_rounds", 3))
     share = float(settings.get("shorten_step", 0.3))
-    objective, information = setup.objective, setup.information
+    longest = bool(settings.get("shorten_max", False))
+    objective = setup.objective
+    simplifier = og.PathSimplifier(setup.information, setup.goal, objective)
+    condition = ob.PlannerTerminationCondition(stopping(setup.callbacks, over))
     while not over():
         definition = setup.definition()
         planner = _planner(setup, "rrt_connect", own)
         planner.setProblemDefinition(definition)
         planner.setup()
-        planner.solve(ob.PlannerTerminationCondition(over))
+        setup.motions.costs = False
+        planner.solve(condition)
         if not definition.hasExactSolution():
             break
         path = definition.getSolutionPath()
-        simplifier = og.PathSimplifier(information, setup.goal, objective)
+        setup.motions.costs = True  # the simplifier asks for the validity and for the cost of an edge
         for turn in range(rounds + 1):
             cost = float(path.cost(objective).value())
             if best is None or cost < best[0]:
@@ -234,6 +188,8 @@ def _connect_and_shorten(
                 keep(best[1], cost)
             if over() or turn == rounds:
                 break
+            if longest and turn == 0:
+                simplifier.simplify(path, condition, True)
             simplifier.partialShortcutPath(path)
             simplifier.perturbPath(path, share)
     return None if best is None else best[1]
@@ -254,8 +210,9 @@ def run_ompl(
         min_checks: go on until so many configurations are checked, at most four times as long.
 
     Returns:
-        A record like those of our own planners, with `callback_share` (of the time, in our callbacks) and `compiled_share` (of the
-        time, in compiled checks); what is missing to 1 is OMPL's own work, the difference between the two is Python's.
+        A record like those of our own planners, with `callback_share` (of the time, in our callbacks and on the way there and back, the
+        heuristic's way through Python included), `heuristic_share` (that way alone) and `compiled_share` (in compiled checks); what is
+        missing to 1 is OMPL's own work, the difference between callbacks and compiled checks is Python's.
     """
     if method not in OMPL_METHODS:
         raise ParameterError(f"OMPL method {method!r} is none of {', '.join(OMPL_METHODS)}")
@@ -263,22 +220,30 @@ def run_ompl(
         ou.RNG.setSeed(max(1, int(seed)))
     setup = _Setup(problem, costs=method != "rrt_connect")
     callbacks, now = setup.callbacks, CLOCKS[clock]
+    dispatch = dispatch_times(setup.information, setup.state(problem.start), setup.state(problem.goals.configurations[0]))
     curve = Curve()
-    wall_s = time.perf_counter()
+    wall_s, cpu_s = time.perf_counter(), time.thread_time()
     began_s = now()
 
+    def spent() -> float:
+        return float(now() - began_s - setup.length.cache_info().misses * dispatch.count_s)  # the counting is ours
+
     def over() -> bool:
-        spent_s = now() - began_s
+        spent_s = spent()
         return spent_s >= seconds and (callbacks.checks.checks >= min_checks or spent_s >= 4.0 * seconds)
 
     def note(cost: float) -> None:
-        curve.add(now() - began_s, callbacks.checks.checks, cost)
+        curve.add(spent(), callbacks.checks.checks, cost)
 
     if method == "rrt_connect":
         path = _connect_and_shorten(setup, settings, over, lambda _, cost: note(cost))
     else:
         path = _optimise(setup, method, settings, over, note)
-    total_s = time.perf_counter() - wall_s
+    spent_s, wall_s, cpu_s = spent(), time.perf_counter() - wall_s, time.thread_time() - cpu_s
+    heuristics = setup.length.cache_info().misses
+    # What was timed on the way holds other processes' turns, as all of the wall time does; what is counted and calibrated does not.
+    heuristic_share = heuristics * dispatch.heuristic_s / cpu_s
+    others_share = (callbacks.calls * dispatch.function_s + callbacks.polls * dispatch.poll_s) / cpu_s
     return record(
         f"ompl_{method}",
         problem,
@@ -289,7 +254,10 @@ def run_ompl(
         path=path,
         edges=callbacks.checks.edges,
         callbacks=callbacks.calls,
-        callback_share=round(callbacks.callback_s / total_s, 4),
-        compiled_share=round(callbacks.compiled_s / total_s, 4),
-        spent_s=round(now() - began_s, 4),
+        heuristics=heuristics,
+        polls=callbacks.polls,
+        callback_share=round(min(callbacks.callback_s / wall_s + others_share + heuristic_share, 1.0), 4),
+        heuristic_share=round(heuristic_share, 4),
+        compiled_share=round(callbacks.compiled_s / wall_s, 4),
+        spent_s=round(spent_s, 4),
     )
