@@ -13,13 +13,23 @@ from lime_planner.experiments.comparison import Run, carry_out
 from lime_planner.experiments.planner_runs import cost_at
 from lime_planner.experiments.problems import ProblemSpec
 
-#: Values that are tried for each setting of a peer, every combination.
+#: Values that are tried for each setting of a peer, every combination; what an earlier search found best is no end of a row.
 GRIDS: dict[str, dict[str, Sequence[Any]]] = {
-    "ompl_rrt_star": {"range": (0.3, 0.8, 2.0, 5.0), "goal_bias": (0.05, 0.2), "k_nearest": (False, True)},
-    "ompl_informed_rrt_star": {"range": (0.3, 0.8, 2.0, 5.0), "goal_bias": (0.05, 0.2), "k_nearest": (False,), "rewire_factor": (1.1, 0.5)},
-    "ompl_bit_star": {"samples_per_batch": (50, 100, 300, 1000, 3000), "use_k_nearest": (True, False), "rewire_factor": (1.1, 0.7)},
-    "ompl_rrt_connect": {"range": (0.3, 1.0, 3.0, 10.0), "shorten_rounds": (2, 10, 30), "shorten_step": (0.1, 0.4)},
-    "pyroboplan": {"max_connection_dist": (0.3, 1.0, 3.0, 10.0), "shorten_iterations": (100, 400)},
+    "ompl_rrt_star": {"range": (0.8, 2.0, 5.0, 10.0), "goal_bias": (0.05, 0.2, 0.5), "k_nearest": (False, True)},
+    "ompl_informed_rrt_star": {
+        "range": (0.8, 2.0, 5.0, 10.0),
+        "goal_bias": (0.05, 0.2, 0.5),
+        "k_nearest": (False,),
+        "rewire_factor": (0.5, 1.1, 2.0),
+    },
+    "ompl_bit_star": {"samples_per_batch": (50, 100, 300, 1000, 3000), "use_k_nearest": (True, False), "rewire_factor": (0.7, 1.1, 1.5)},
+    "ompl_rrt_connect": {
+        "range": (1.0, 3.0, 10.0),
+        "shorten_rounds": (3, 10, 30),
+        "shorten_step": (0.1, 0.4, 1.0),
+        "shorten_max": (False, True),  # OMPL's whole simplification before the rounds
+    },
+    "pyroboplan": {"max_connection_dist": (0.3, 1.0, 3.0, 10.0), "shorten_iterations": (30, 100, 400)},
 }
 FAILURE = 100.0  # a run without a path counts as so many times the best cost
 
