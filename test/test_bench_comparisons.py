@@ -14,6 +14,7 @@ from lime_planner.errors import ParameterError
 from lime_planner.experiments import comparison_report as report
 from lime_planner.experiments import peers_pyroboplan
 from lime_planner.experiments.comparison import Comparison, Run, carry_out, load_settings, missing_library
+from lime_planner.experiments.comparison_figures import _curves, bands
 from lime_planner.experiments.compiled_checks import CompiledChecks
 from lime_planner.experiments.isolated import run_isolated
 from lime_planner.experiments.peers_search import GRIDS, candidates, choose
@@ -99,7 +100,32 @@ def test_tables_follow_from_the_trials():
     assert "on 1 of 3 problems" in text and "| b | OMPL BIT* | 25.00 | ∞ | ∞ |" in text
     assert "| lime_star (default) | ∞ (33 %) | 30.0 (67 %) |" in report.cost_table(results, [0.5, 5.0], report.TIME, "s")
     assert "| OMPL BIT* | 200 | 50 % | 60 % | 1 | 0 |" in report.effort_table(results)
+    results["trials"][1] |= {"heuristic_share": 0.3}
+    assert "| OMPL BIT* | 200 | 50 % | 60 % (heuristic 30 %) | 1 | 0 |" in report.effort_table(results)
     assert "| OMPL BIT* | 1.00 (0.00 to 4.00), 33 % |" in report.paired_table(results, [0.5])
+
+
+def test_equal_checks_count_only_runs_that_got_so_far():
+    far = _trial("a", "lime_star", 1, [[0.1, 100, 20.0], [0.4, 900, 10.0]]) | {"checks": 5000}
+    trials = [
+        far,
+        _trial("b", "lime_star", 1, [[0.1, 100, 30.0]]),  # ends at 1000 checks
+        _trial("c", "lime_star", 1, [[0.1, 200, 50.0]]),
+        _trial("a", "ompl_bit_star", 1, [[0.1, 100, 40.0]]) | {"checks": 999},
+        _trial("b", "ompl_bit_star", 1, []) | {"checks": 2000},
+        _trial("c", "ompl_bit_star", 1, [[0.1, 100, 60.0]]) | {"checks": 5000},
+    ]
+    results = _results(trials)
+    table = report.cost_table(results, [500, 1000, 3000], report.CHECKS, "checks").splitlines()
+    assert table[2] == "| lime_star (default) | 30.0 (100 %) | 30.0 (100 %) | – |"
+    assert table[3] == "| OMPL BIT* | 60.0 (67 %) | ∞ (50 %) (2 of 3 runs) | – |"
+    assert report.costs_at(results, "lime_star", 3000, report.CHECKS) == {("a", 1): 10.0}
+    assert len(report.costs_at(results, "lime_star", 3000)) == 3  # time is the same for all
+    curves = _curves(results, "ompl_bit_star", np.array([500.0, 1000.0, 3000.0]), report.CHECKS)
+    np.testing.assert_array_equal(curves, [[4.0, np.nan, np.nan], [np.inf, np.inf, np.nan], [1.2, 1.2, 1.2]])
+    quartiles, solved = bands(curves)
+    np.testing.assert_allclose(solved, [2 / 3, 0.5, np.nan])
+    assert quartiles[1, 0] == 4.0 and np.isnan(quartiles[:, 2]).all()
 
 
 def test_settings_of_peers_are_chosen_by_cost_over_all_problems():

@@ -16,8 +16,9 @@ SEARCH_PLANTS = ("medium:901", "dense:902", "dense:903")  # never among those th
 _EPILOG = """\
 Every peer gets the same space, start, goals and cost, and our compiled checks.
 OMPL comes with pip install 'lime_planner[bench]'. Peers call back into Python,
-so they are compared at equal numbers of checked configurations as well, and
-the share of their time that goes into callbacks is in the table.
+so they are compared at equal numbers of checked configurations as well, as far
+as at least half of the runs got, and the share of their time that goes into
+callbacks and the way there is in the table.
 
 examples:
   lime-planner bench peers --scans scans --out peers

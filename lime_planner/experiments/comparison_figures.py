@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from lime_planner.experiments.comparison_report import CHECKS, LABELS, TIME, best_known, budget_of, compared, methods_of
+from lime_planner.experiments.comparison_report import CHECKS, LABELS, TIME, best_known, budget_of, compared, methods_of, reached
 from lime_planner.experiments.planner_runs import cost_at
 
 Array = npt.NDArray[np.float64]
@@ -19,10 +19,24 @@ _POINTS = 80
 
 
 def _curves(results: Mapping[str, Any], method: str, grid: Array, column: int) -> Array:
-    """Ratios to the best known cost (runs, marks), inf before the first path; rows end at what the run reached."""
+    """Ratios to the best known cost (runs, marks), inf before the first path, NaN beyond what the run reached."""
     best = best_known(results)
-    trials = [t for t in compared(results, method) if np.isfinite(best[t["problem"]])]
-    return np.array([[cost_at(t["curve"], float(g), column) / best[t["problem"]] for g in grid] for t in trials]).reshape(-1, len(grid))
+    rows = []
+    for t in compared(results, method):
+        if np.isfinite(scale := best[t["problem"]]):
+            rows.append([cost_at(t["curve"], float(g), column) / scale if reached(t, float(g), column) else np.nan for g in grid])
+    return np.array(rows).reshape(-1, len(grid))
+
+
+def bands(curves: Array) -> tuple[Array, Array]:
+    """Quartiles (3, marks) and share with a path (marks,) of the runs that reached each mark; NaN where fewer than half of them did."""
+    quartiles, solved = np.full((3, curves.shape[1]), np.nan), np.full(curves.shape[1], np.nan)
+    for k, column in enumerate(curves.T):
+        values = np.sort(column[~np.isnan(column)])
+        if len(values) and 2 * len(values) >= len(column):
+            quartiles[:, k] = np.quantile(values, (0.25, 0.5, 0.75), method="nearest")
+            solved[k] = np.isfinite(values).mean()
+    return quartiles, solved
 
 
 def _grid(results: Mapping[str, Any], column: int) -> Array:
@@ -45,14 +59,13 @@ def plot(results: Mapping[str, Any], stem: Path, column: int) -> list[Path]:
         curves = _curves(results, method, grid, column)
         if not len(curves):
             continue
-        ordered = np.sort(curves, axis=0)
-        low, middle, high = (np.quantile(ordered, share, axis=0, method="nearest") for share in (0.25, 0.5, 0.75))
+        (low, middle, high), solved = bands(curves)
         shown = np.isfinite(middle)
         label = LABELS.get(method, method)
         top.plot(grid[shown], middle[shown], color=colour, label=label, linewidth=1.8, drawstyle="steps-post")
         band = np.where(np.isfinite(high), high, 1e6)
         top.fill_between(grid[shown], low[shown], band[shown], color=colour, alpha=0.12, step="post", linewidth=0)
-        bottom.plot(grid, 100.0 * np.isfinite(curves).mean(axis=0), color=colour, linewidth=1.8, drawstyle="steps-post")
+        bottom.plot(grid, 100.0 * solved, color=colour, linewidth=1.8, drawstyle="steps-post")
     top.set(xscale="log", yscale="log", ylabel="J / best known J, median and quartiles")
     top.set_ylim(0.97, 40.0)
     top.set_yticks([1, 1.1, 1.25, 1.5, 2, 3, 5, 10, 20, 40], ["1", "1.1", "1.25", "1.5", "2", "3", "5", "10", "20", "40"])

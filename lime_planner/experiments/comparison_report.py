@@ -17,7 +17,7 @@ Key = tuple[str, int]
 
 DEFAULT = "lime_star"
 TIME, CHECKS = 0, 1  # columns of a curve
-CHECK_MARKS = (3_000, 10_000, 30_000, 100_000, 300_000, 1_000_000)
+CHECK_MARKS = (3_000, 10_000, 30_000, 100_000, 300_000)
 LABELS = {
     "lime_star": "lime_star (default)",
     "apf_rrt_star": "APF-RRT* (paper)",
@@ -57,9 +57,15 @@ def best_known(results: Mapping[str, Any]) -> dict[str, float]:
     return best
 
 
+def reached(trial: Mapping[str, Any], mark: float, column: int) -> bool:
+    """Whether a run got as far as a mark: all runs have the same time, but not the same number of checks."""
+    return column == TIME or trial["checks"] >= mark
+
+
 def costs_at(results: Mapping[str, Any], method: str, mark: float, column: int = TIME) -> dict[Key, float]:
-    """J of every (problem, seed) at a time [s] or a number of checks; inf where there was no path yet."""
-    return {(t["problem"], t["seed"]): cost_at(t["curve"], mark, column) for t in compared(results, method)}
+    """J of every (problem, seed) at a time [s] or a number of checks that its run reached; inf where there was no path yet."""
+    trials = [t for t in compared(results, method) if reached(t, mark, column)]
+    return {(t["problem"], t["seed"]): cost_at(t["curve"], mark, column) for t in trials}
 
 
 def ratios_at(results: Mapping[str, Any], method: str, mark: float, column: int = TIME) -> dict[Key, float]:
@@ -84,14 +90,18 @@ def _table(heading: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 
 def cost_table(results: Mapping[str, Any], marks: Sequence[float], column: int, unit: str) -> str:
-    """Median J and share of solved runs of each method at each mark."""
+    """Median J and share of solved runs of each method at each mark, of the runs that got so far; no cell of fewer than half of them."""
     rows = []
     for method in methods_of(results):
-        cells = []
+        cells, runs = [], len(compared(results, method))
         for mark in marks:
             costs = list(costs_at(results, method, mark, column).values())
+            if 2 * len(costs) < runs:
+                cells.append("–")
+                continue
             solved = sum(math.isfinite(c) for c in costs)
-            cells.append(f"{_number(median(np.array(costs)), 1)} ({100 * solved / len(costs):.0f} %)")
+            some = "" if len(costs) == runs else f" ({len(costs)} of {runs} runs)"
+            cells.append(f"{_number(median(np.array(costs)), 1)} ({100 * solved / len(costs):.0f} %){some}")
         rows.append([LABELS.get(method, method), *cells])
     return _table(["median J (solved)", *(f"{m:,g} {unit}" for m in marks)], rows)
 
@@ -191,9 +201,18 @@ def effort_table(results: Mapping[str, Any]) -> str:
         compiled = [t["compiled_share"] for t in trials if "compiled_share" in t]
         called = [t["callback_share"] for t in trials if "callback_share" in t]
         failures = sum("failure" in t for t in trials)
-        cells = [f"{100 * float(np.median(v)):.0f} %" if v else "–" for v in (compiled, called)]
+        heuristic = [t["heuristic_share"] for t in trials if t.get("heuristic_share")]
+        cells = [f"{100 * float(np.median(v)):.0f} %" if v else "–" for v in (compiled, called, heuristic)]
+        if heuristic:
+            cells[1] += f" (heuristic {cells[2]})"
         rows.append(
-            [LABELS.get(method, method), f"{rate:,.0f}", *cells, str(failures), str(sum(t.get("paths_through_stem", 0) for t in trials))]
+            [
+                LABELS.get(method, method),
+                f"{rate:,.0f}",
+                *cells[:2],
+                str(failures),
+                str(sum(t.get("paths_through_stem", 0) for t in trials)),
+            ]
         )
     return _table(["", "checks a second", "in checks", "in callbacks", "crashes", "paths through a stem"], rows)
 

@@ -271,7 +271,7 @@ def comparison_effort(data: Results) -> str:
 
 
 def peers_checks(data: Results) -> str:
-    """Median J at equal numbers of checks."""
+    """Median J at equal numbers of checks, of the runs that got so far."""
     return _escaped(compare.cost_table(data, compare.CHECK_MARKS, compare.CHECKS, "checks"))
 
 
