@@ -80,7 +80,8 @@ class Judge:
         self.world: World | None = None
         self._running: tuple[float, Trajectory, np.ndarray | None] | None = None
         self._checker: tuple[World, tuple[float, ...], ExactChecker] | None = None
-        self._quiet: deque[list[float]] = deque(maxlen=4)  # from a stop's answer to the next request nothing may move
+        self._quiet: deque[tuple[float, float]] = deque(maxlen=4)  # from a stop's answer to the next request nothing may move
+        self._stopped_s = np.inf
 
     def state(self, q: np.ndarray) -> None:
         """Take note of a joint state."""
@@ -91,13 +92,14 @@ class Judge:
 
     def asked(self, kind: str) -> None:
         """Take note of a request."""
-        if kind != "stop" and self._quiet:
-            self._quiet[-1][1] = min(self._quiet[-1][1], time.monotonic())
+        if kind != "stop" and self._stopped_s < np.inf:
+            self._quiet.append((self._stopped_s, time.monotonic()))
+            self._stopped_s = np.inf
 
     def answered(self, kind: str) -> None:
         """Take note of an answer."""
         if kind == "stop":
-            self._quiet.append([time.monotonic(), np.inf])
+            self._stopped_s = min(self._stopped_s, time.monotonic())
 
     def newest(self, before_s: float = np.inf) -> np.ndarray | None:
         """The newest joint state before a moment."""
@@ -171,7 +173,7 @@ class Judge:
         )
         if self._running is not None and at_s < self._running[0] + self._running[1].duration_s - 0.05:
             found.append("it was sent while another motion ran")
-        if any(since_s + ON_THE_WAY_S < at_s < until_s for since_s, until_s in self._quiet):
+        if any(since_s + ON_THE_WAY_S < at_s < until_s for since_s, until_s in [*self._quiet, (self._stopped_s, np.inf)]):
             found.append("it was sent after a stop, and nobody had asked for it since")
         known, target = target_of(trajectory, statuses)
         if not known:
