@@ -146,7 +146,7 @@ def keep(results: Mapping[str, Any]) -> Results:
     name = results.get("experiment")
     if name not in FORMS:
         raise SceneError(f"results of {name!r} are not kept; those of {', '.join(FORMS)} are")
-    return FORMS[name][0](results)
+    return FORMS[name][0](_without(results, "aside"))  # trials of earlier runs that the last one did not ask for
 
 
 def restore(data: Mapping[str, Any]) -> Results:

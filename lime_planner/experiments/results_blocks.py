@@ -14,6 +14,7 @@ from lime_planner.experiments import damage_report as damage
 from lime_planner.experiments import lime_report as lime
 from lime_planner.experiments import scale_report as scale
 from lime_planner.experiments.bootstrap import Estimate, median
+from lime_planner.experiments.collection import machine_text
 from lime_planner.experiments.lime_trials import ALGORITHMS, FIXED, LABELS, PAPER
 from lime_planner.experiments.wall_report import markdown_table
 
@@ -206,10 +207,9 @@ def comparison_heading(data: Results) -> str:
     """What was compared, on what."""
     budget = compare.budget_of(data)
     seeds = {t["seed"] for t in data["trials"] if t["seconds"] == budget}
-    machine = data["machine"]
     longer = sorted({t["seconds"] for t in data["trials"] if t["seconds"] != budget})
     text = f"{_plural(len(data['problems']), 'problem')}, {_plural(len(seeds), 'seed')}, {_CLOCKS[data['options']['clock']]} on one core"
-    text += f" of: {machine['processor']}, {machine['cores']} cores, load {machine['load'][0]:g} at the start."
+    text += f" of: {machine_text(data)}."
     if longer:
         runs = {m: sum(t["seconds"] in longer for t in data["trials"] if t["method"] == m) for m in {t["method"] for t in data["trials"]}}
         words = ", ".join(f"{n} of {compare.LABELS.get(m, m)}" for m, n in sorted(runs.items()) if n)
@@ -294,8 +294,8 @@ def peers_settings(data: Results) -> str:
 
 def scale_heading(data: Results) -> str:
     """On what, and which targets are missed."""
-    machine, missed = data["machine"], scale.targets_missed(data)
-    text = f"Processor time of one core of: {machine['processor']}, {machine['cores']} cores, load {machine['load'][0]:g} at the start."
+    missed = scale.targets_missed(data)
+    text = f"Processor time of one core of: {machine_text(data)}."
     return text + (" Missed: " + "; ".join(missed) + "." if missed else " Every limit is kept.")
 
 

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from lime_planner.experiments.bootstrap import median
+from lime_planner.experiments.collection import machine_text
 from lime_planner.experiments.planner_runs import cost_at
 from lime_planner.experiments.scale_cases import MEMORY_TARGET_BYTES, POINTS_TARGETS_S
 from lime_planner.experiments.wall_report import markdown_table
@@ -121,8 +122,7 @@ def budget_table(results: Mapping[str, Any]) -> str:
 
 def table_text(results: Mapping[str, Any]) -> str:
     """The page of tables."""
-    m = results["machine"]
-    lines = ["# How cost grows", "", f"Processor time on one core of: {m['processor']}, load {m['load'][0]} at the start.", ""]
+    lines = ["# How cost grows", "", f"Processor time on one core of: {machine_text(results)}.", ""]
     if not results["complete"]:
         lines += ["**Incomplete**: the run was stopped.", ""]
     if records(results, "points"):
