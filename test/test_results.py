@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from conftest import ROOT
+from scipy import stats
 
 from lime_planner.cli import main
 from lime_planner.errors import SceneError
@@ -76,8 +77,74 @@ def test_lime_ratios_by_hand() -> None:
         others = [p for p in {p for p, _ in means} - {first} if {(p, "apf_rrt_star"), (p, below)} <= means.keys()]
         logs = [math.log(means[p, "apf_rrt_star"] / means[p, below]) for p in others]
         assert row[2].split()[0] == f"{math.exp(np.mean(logs)):.2f}"
-        assert row[3] == f"{len(others)} of 10"
+        assert row[4] == f"{len(others)} of 10"
     assert [row[1].split()[0] for row in rows_of("lime.success")] == [str(n) for n in counts.values()]
+
+
+def test_lime_tests_by_hand() -> None:
+    found: dict[tuple[int, str], list[float]] = {}
+    for t in kept("lime")["trials"]:
+        if t["variant"] == "as fixed" and t["cost"] is not None:
+            found.setdefault((t["plant"], t["algorithm"]), []).append(t["cost"])
+    table = {row[0]: row for row in rows_of("lime.plants")}
+    for column, below in ((-2, "rrt_star"), (-1, "p_rrt_star")):
+        logs = []
+        for plant, row in table.items():
+            mine, other = (found.get((int(plant), key), []) if plant.isdigit() else [] for key in ("apf_rrt_star", below))
+            if min(len(mine), len(other)) < 5:
+                continue
+            p = float(stats.ttest_ind(mine, other, equal_var=False).pvalue)
+            assert row[column] == "< .001" if p < 0.001 else float(row[column]) == pytest.approx(p, abs=6e-4), plant
+            logs.append(math.log(np.mean(mine) / np.mean(other)))
+        p = float(stats.ttest_1samp(logs, 0.0).pvalue)
+        assert p < 0.001 and table["geometric mean"][column] == "< .001"
+        over_plants = rows_of("lime.ratios")[0 if below == "rrt_star" else 2][3]
+        assert over_plants == f"< .001 (t({len(logs) - 1}) = {stats.ttest_1samp(logs, 0.0).statistic:.2f})"
+    by_j = [row[3].split()[0] for row in rows_of("lime.ratios")[1::2]]
+    assert all(float(p) < 0.05 for p in by_j)
+
+
+def test_the_cheapest_paths_are_clear_of_stems() -> None:
+    trials = kept("lime")["trials"]
+    for plant, *_, least, _ in rows_of("lime.floor")[:-1]:
+        mine = [t for t in trials if t["plant"] == int(plant) and t["cost"] is not None]
+        assert least == f"{min(t['cost'] for t in mine if t['J'] is not None):.0f}"
+    assert rows_of("lime.floor")[0][3] != f"{min(t['cost'] for t in trials if t['plant'] == 0 and t['cost'] is not None):.0f}"
+
+
+def test_the_papers_t_has_the_sign_of_its_row() -> None:
+    for row in rows_of("lime.tests")[:2]:  # others minus APF-RRT*, which is the cheaper one in the paper too
+        assert "−" in row[0] and row[0].split(" − ")[1].startswith("APF-RRT*")
+        assert float(row[-1].split(" = ")[1]) > 0.0
+    assert "prints t(182.25) = -6.39" in blocks_in(PAGE)["lime.tests"]
+
+
+def test_checkers_in_pairs_by_hand() -> None:
+    exact = kept("lime-fcl")["trials"]
+    fast = {(t["plant"], t["algorithm"], t["trial"]): t["cost"] for t in kept("lime")["trials"] if t["variant"] == "as fixed"}
+    pairs = [(t["algorithm"], t["cost"], fast[t["plant"], t["algorithm"], t["trial"]]) for t in exact]
+    table = [row for row in rows_of("lime.checkers") if len(row) == 8 and " of " in row[1]]
+    for name, row in zip(("rrt_star", "apf_rrt_star", "p_rrt_star", ""), table, strict=True):
+        mine = [(a, b) for key, a, b in pairs if name in ("", key)]
+        assert row[1] == f"{sum((a is None) == (b is None) for a, b in mine)} of {len(mine)}"
+        both = np.array([(a, b) for a, b in mine if a is not None and b is not None])
+        assert row[4] == str(len(both))
+        tested = stats.ttest_rel(both[:, 0], both[:, 1])
+        low, high = tested.confidence_interval(0.95)
+        assert row[6] == f"{np.mean(both[:, 0] - both[:, 1]):.0f} ({low:.0f} to {high:.0f})"
+        assert low < 0.0 < high  # no planner's costs differ between the checkers
+    bold = {
+        (row[0], row[1]): [cell.startswith("**") for cell in row[5:]]
+        for row in rows_of("lime.checkers")
+        if len(row) == 8 and row[0].isdigit()
+    }
+    assert [key for key, cells in bold.items() if cells[0] and cells[1]] == [
+        ("1", "fast model, same seeds"),
+        ("1", "fast model, all trials"),
+        ("3", "fast model, all trials"),
+    ]
+    assert not any(any(cells) for (_, checker), cells in bold.items() if checker == "FCL")
+    assert not any(cells[2] for cells in bold.values())  # RRT* and P-RRT* cannot be told apart
 
 
 def test_leaves_touched_by_hand() -> None:

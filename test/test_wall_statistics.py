@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from lime_planner.experiments.statistics import long_table, mean_interval, mixed_anova, post_hoc, welch
+from lime_planner.experiments.statistics import against_zero, long_table, mean_interval, mixed_anova, post_hoc, welch
 
 MARKS = (1000, 2500, 5000)
 
@@ -28,6 +28,19 @@ def test_welch_agrees_with_scipy(rng: np.random.Generator) -> None:
     n1, n2 = 29, 50
     pooled = np.sqrt(((n1 - 1) * np.nanvar(a, ddof=1) + (n2 - 1) * b.var(ddof=1)) / (n1 + n2 - 2))
     assert c.hedges_g == pytest.approx(c.difference / pooled * (1 - 3 / (4 * (n1 + n2) - 9)), rel=1e-3)
+
+
+def test_a_mean_against_zero_agrees_with_scipy(rng: np.random.Generator) -> None:
+    values = rng.normal(0.4, 1.0, 12)
+    expected = stats.ttest_1samp(values, 0.0)
+    interval = expected.confidence_interval(0.95)
+    found = against_zero(values)
+    assert found is not None
+    assert (found.mean, found.t, found.dof, found.p) == pytest.approx((values.mean(), expected.statistic, 11, expected.pvalue))
+    assert (found.low, found.high) == pytest.approx((interval.low, interval.high))
+    assert against_zero(values[:1]) is None
+    alike = against_zero(np.zeros(5))  # pairs that do not differ at all
+    assert alike is not None and (alike.low, alike.mean, alike.high) == (0.0, 0.0, 0.0) and np.isnan(alike.p)
 
 
 def test_mixed_anova_between_effect_is_the_anova_of_trial_means(rng: np.random.Generator) -> None:

@@ -10,15 +10,17 @@ import numpy.typing as npt
 
 from lime_planner.experiments.bootstrap import Estimate, by_cluster, independent
 from lime_planner.experiments.lime_trials import ALGORITHMS, FIXED, LABELS, PAPER, VARIANTS
-from lime_planner.experiments.statistics import mean_interval, welch
+from lime_planner.experiments.statistics import MeanTest, against_zero, mean_interval, welch
 from lime_planner.experiments.wall_report import markdown_table, p_text
 
 Array = npt.NDArray[np.float64]
 Cells = dict[tuple[int, str, str], list[dict[str, Any]]]
 
 PAIRS = (("rrt_star", "apf_rrt_star"), ("p_rrt_star", "apf_rrt_star"), ("rrt_star", "p_rrt_star"))
-PAPER_TESTS = {("rrt_star", "apf_rrt_star"): "t(182.25) = -6.39", ("p_rrt_star", "apf_rrt_star"): "t(186.07) = 7.63"}
-_FEWEST = 5  # successes of every planner, for a ratio to be worth naming
+#: With the sign of the row, as its own t: positive where APF-RRT* is the cheaper one.
+PAPER_TESTS = {("rrt_star", "apf_rrt_star"): "t(182.25) = 6.39", ("p_rrt_star", "apf_rrt_star"): "t(186.07) = 7.63"}
+_PAPER_SIGN = "The paper prints t(182.25) = -6.39 for a decrease with APF-RRT\\*; here it has the sign of its row, like the other one."
+FEWEST = 5  #: successes of every planner, for a ratio to be worth naming
 
 
 def cells_of(results: dict[str, Any]) -> Cells:
@@ -52,7 +54,7 @@ def _median_with_failures(trials: list[dict[str, Any]]) -> float:
 def ratio(cells: Cells, plant: int, variant: str, below: str, name: str = "cost") -> Estimate | None:
     """Mean of APF-RRT* over the mean of another planner on one plant; None with too few paths."""
     samples = [quantity(cells.get((plant, variant, key), []), name) for key in ("apf_rrt_star", below)]
-    if min(len(s) for s in samples) < _FEWEST:
+    if min(len(s) for s in samples) < FEWEST:
         return None
     return independent(samples, lambda a, b: a.mean(axis=-1) / b.mean(axis=-1))
 
@@ -64,14 +66,27 @@ def overall(ratios: list[Estimate | None]) -> Estimate:
     return Estimate(*(float(np.exp(v)) for v in (estimate.value, estimate.low, estimate.high)))
 
 
-def _mean_text(values: Array, digits: int = 1) -> str:
+def ratio_test(ratios: list[Estimate | None]) -> MeanTest | None:
+    """Test over plants whether the logarithms of their ratios are 0 on average."""
+    return against_zero(np.log([r.value for r in ratios if r is not None]))
+
+
+def ratio_p(cells: Cells, plant: int, variant: str, below: str, name: str = "cost") -> float:
+    """P of Welch's test of APF-RRT* against another planner on one plant; NaN where there is no ratio."""
+    first, second = (quantity(cells.get((plant, variant, key), []), name) for key in ("apf_rrt_star", below))
+    return welch("apf_rrt_star", below, first, second).p if min(len(first), len(second)) >= FEWEST else math.nan
+
+
+def mean_text(values: Array, digits: int = 1) -> str:
+    """Mean, and its standard error in brackets."""
     mean, error, _ = mean_interval(values)
     if not len(values):
         return "–"
     return f"{mean:.{digits}f}" if math.isnan(error) else f"{mean:.{digits}f} ({error:.{digits}f})"
 
 
-def _text(estimate: Estimate | None) -> str:
+def estimate_text(estimate: Estimate | None) -> str:
+    """An estimate with its interval, or a dash."""
     return "–" if estimate is None or math.isnan(estimate.value) else estimate.text()
 
 
@@ -85,12 +100,12 @@ def main_table(cells: Cells, plant: int) -> str:
         rows.append(
             [
                 LABELS[key],
-                _mean_text(quantity(trials)),
+                mean_text(quantity(trials)),
                 "{:.2f} ({:.2f})".format(*PAPER[key]),
                 f"{median:.1f}" if math.isfinite(median) else "none",
-                _mean_text(quantity(trials, "J")),
-                _mean_text(quantity(trials, "nodes_inside"), 2),
-                _mean_text(quantity(trials, "length"), 2),
+                mean_text(quantity(trials, "J")),
+                mean_text(quantity(trials, "nodes_inside"), 2),
+                mean_text(quantity(trials, "length"), 2),
                 f"{failures(trials)} of {len(trials)}",
                 str(blocked(trials)),
             ]
@@ -110,7 +125,8 @@ def tests_table(cells: Cells, plant: int) -> str:
             paper = PAPER_TESTS.get((a, b), "–") if name == "cost" else "–"
             row = [f"{LABELS[a]} − {LABELS[b]}, {words}", f"{c.difference:.1f}", f"{c.low:.1f} to {c.high:.1f}", f"{c.t:.2f}"]
             rows.append([*row, f"{c.dof:.1f}", p_text(c.p), f"{c.hedges_g:.2f}", paper])
-    return markdown_table(["comparison", "difference", "95 % CI", "t", "df", "p", "Hedges g", "paper"], rows)
+    table = markdown_table(["comparison", "difference", "95 % CI", "t", "df", "p", "Hedges g", "paper"], rows)
+    return f"{table}\n\n{_PAPER_SIGN}"
 
 
 def ratio_rows(cells: Cells, plants: list[int], variant: str) -> tuple[list[list[str]], dict[str, list[Estimate | None]]]:
@@ -123,17 +139,24 @@ def ratio_rows(cells: Cells, plants: list[int], variant: str) -> tuple[list[list
         for below in ("rrt_star", "p_rrt_star"):
             ratios[below].append(ratio(cells, plant, variant, below))
             ratios["J/" + below].append(ratio(cells, plant, variant, below, "J"))
-        texts = [_text(ratios[name][-1]) for name in ratios]
-        rows.append([str(plant), *(_mean_text(m, 0) for m in means), " / ".join(map(str, counts)), *texts])
+        texts = [estimate_text(ratios[name][-1]) for name in ratios]
+        rows.append([str(plant), *(mean_text(m, 0) for m in means), " / ".join(map(str, counts)), *texts])
     return rows, ratios
 
 
 def plants_table(cells: Cells, plants: list[int]) -> str:
-    """The further plants with the choices as fixed."""
+    """The further plants with the choices as fixed: costs, ratios, and p of the node cost's ratios."""
     head = ["plant", *(LABELS[key] for key in ALGORITHMS), "no path", "APF / RRT*", "APF / P-RRT*", "J: APF / RRT*", "J: APF / P-RRT*"]
     rows, ratios = ratio_rows(cells, plants, FIXED)
-    rows.append(["geometric mean", "", "", "", "", *(_text(overall(values)) for values in ratios.values())])
-    return markdown_table(head, rows)
+    rows.append(["geometric mean", "", "", "", "", *(estimate_text(overall(values)) for values in ratios.values())])
+    for below in ("rrt_star", "p_rrt_star"):
+        head.append(f"p, APF / {LABELS[below]}")
+        test = ratio_test(ratios[below])
+        for row, plant in zip(rows, plants, strict=False):
+            row.append(p_text(ratio_p(cells, plant, FIXED, below)))
+        rows[-1].append(p_text(test.p if test else math.nan))
+    words = "p of the node cost: Welch's test on each plant, not corrected for their number; in the last line a t-test of the logarithms."
+    return f"{markdown_table(head, rows)}\n\n{words}"
 
 
 def sensitivity_table(cells: Cells, plants: list[int]) -> str:
@@ -147,7 +170,7 @@ def sensitivity_table(cells: Cells, plants: list[int]) -> str:
         _, ratios = ratio_rows(cells, plants, variant)
         shares = [f"{100.0 * (1.0 - failures(t) / len(t)):.0f} %" if t else "–" for t in trials.values()]
         known = sum(r is not None for r in ratios["rrt_star"]), sum(r is not None for r in ratios["p_rrt_star"])
-        texts = [_text(overall(ratios[below])) for below in ("rrt_star", "p_rrt_star")]
+        texts = [estimate_text(overall(ratios[below])) for below in ("rrt_star", "p_rrt_star")]
         rows.append([variant, *shares, *texts, f"{known[0]}, {known[1]}"])
     return markdown_table(head, rows)
 
@@ -177,7 +200,7 @@ def table_text(results: dict[str, Any]) -> str:
     for below in ("rrt_star", "p_rrt_star"):
         lines.append(f"- Ratio of means, APF-RRT\\* to {LABELS[below].replace('*', chr(92) + '*')}: ")
         paper = PAPER["apf_rrt_star"][0] / PAPER[below][0]
-        ratios = {name: _text(ratio(cells, plants[0], FIXED, below, name)) for name in ("cost", "J")}
+        ratios = {name: estimate_text(ratio(cells, plants[0], FIXED, below, name)) for name in ("cost", "J")}
         lines[-1] += f"{ratios['cost']}; for J {ratios['J']}; the paper's {paper:.2f}."
     lines.append("")
     if len(plants) > 1:

@@ -11,11 +11,11 @@ import numpy as np
 
 from lime_planner.experiments import comparison_report as compare
 from lime_planner.experiments import damage_report as damage
-from lime_planner.experiments import lime_report as lime
+from lime_planner.experiments import lime_blocks as lime
 from lime_planner.experiments import scale_report as scale
-from lime_planner.experiments.bootstrap import Estimate, median
+from lime_planner.experiments.bootstrap import median
 from lime_planner.experiments.collection import machine_text
-from lime_planner.experiments.lime_trials import ALGORITHMS, FIXED, LABELS, PAPER
+from lime_planner.experiments.lime_blocks import escaped
 from lime_planner.experiments.wall_report import markdown_table
 
 Results = dict[str, Any]
@@ -25,112 +25,6 @@ DENSE_POINTS, LEAF_RATIO = 25.0, 0.5  # what was asked of the default planner
 MEDIAN_RATIO, TAIL_RATIO = 1.10, 1.25
 PEER_SHARE = 90.0
 OURS_S, FIRST_MARK_S = 0.5, 0.5
-
-
-def _escaped(text: str) -> str:
-    return text.replace("*", "\\*")
-
-
-def _plants(data: Results) -> list[int]:
-    return [int(scene["seed"]) for scene in data["scenes"]]
-
-
-# The lime experiment.
-
-
-def lime_main(data: Results) -> str:
-    """Table II on the default plant."""
-    return lime.main_table(lime.cells_of(data), _plants(data)[0])
-
-
-def lime_tests(data: Results) -> str:
-    """Welch's tests on the default plant."""
-    return lime.tests_table(lime.cells_of(data), _plants(data)[0])
-
-
-def lime_ratios(data: Results) -> str:
-    """Ratios of means on the default plant and over the others, beside the paper's."""
-    cells, plants, rows = lime.cells_of(data), _plants(data), []
-    for below in ("rrt_star", "p_rrt_star"):
-        for name, words in (("cost", "node cost"), ("J", "J")):
-            first = lime.ratio(cells, plants[0], FIXED, below, name)
-            others = [lime.ratio(cells, plant, FIXED, below, name) for plant in plants[1:]]
-            mean = lime.overall(others)
-            paper = f"{PAPER['apf_rrt_star'][0] / PAPER[below][0]:.2f}" if name == "cost" else "–"
-            known = f"{sum(r is not None for r in others)} of {len(others)}"
-            rows.append([f"APF-RRT\\* / {_escaped(LABELS[below])}, {words}", _estimate(first), _estimate(mean), known, paper])
-    head = ["ratio of means (95 %)", f"plant {plants[0]}", "geometric mean of the others", "plants with a ratio", "paper"]
-    return markdown_table(head, rows)
-
-
-def _estimate(estimate: Estimate | None) -> str:
-    return "–" if estimate is None or math.isnan(estimate.value) else estimate.text()
-
-
-def lime_success(data: Results) -> str:
-    """How many trials found a path, over all plants, with the choices as fixed."""
-    cells, plants = lime.cells_of(data), _plants(data)
-    rows = []
-    for key in ALGORITHMS:
-        trials = [t for plant in plants for t in cells.get((plant, FIXED, key), [])]
-        if not trials:
-            continue
-        found = [t for t in trials if t["cost"] is not None]
-        empty = sum(all(t["cost"] is None for t in cells.get((plant, FIXED, key), [])) for plant in plants)
-        share = f"{len(found)} of {len(trials)} ({100 * len(found) / len(trials):.0f} %)"
-        rows.append([_escaped(LABELS[key]), share, f"{empty} of {len(plants)}", str(lime.blocked(trials))])
-    return markdown_table(["planner", "trials with a path", "plants without any", "paths with an edge through a stem"], rows)
-
-
-def lime_plants(data: Results) -> str:
-    """The further plants."""
-    return lime.plants_table(lime.cells_of(data), _plants(data)[1:])
-
-
-def lime_sensitivity(data: Results) -> str:
-    """Changed choices."""
-    return lime.sensitivity_table(lime.cells_of(data), _plants(data)[1:])
-
-
-def lime_floor(data: Results) -> str:
-    """How low the node cost gets at all: the cheapest of all trials of a plant, whatever planner and choice it had."""
-    cells, rows, shares = lime.cells_of(data), [], []
-    for plant in _plants(data):
-        everything = [t["cost"] for (p, _, _), trials in cells.items() if p == plant for t in trials if t["cost"] is not None]
-        means = [lime.quantity(cells.get((plant, FIXED, key), [])) for key in ("rrt_star", "apf_rrt_star")]
-        if not everything or min(map(len, means)) == 0:
-            continue
-        least, texts = min(everything), [f"{m.mean():.0f}" for m in means]
-        shares.append(least / means[0].mean())
-        rows.append([str(plant), *texts, f"{least:.0f}", f"{shares[-1]:.2f}"])
-    rows.append(["geometric mean", "", "", "", f"{float(np.exp(np.mean(np.log(shares)))):.2f}"])
-    return markdown_table(["plant", "RRT\\*, mean", "APF-RRT\\*, mean", "cheapest path of all trials", "over RRT\\*'s mean"], rows)
-
-
-def lime_checkers(data: Results, exact: Results) -> str:
-    """Both checkers side by side on the plants and with the seeds that both have, and the fast model with all its trials."""
-    plants = [plant for plant in _plants(exact) if plant in _plants(data)]
-    shared = {(t["plant"], t["algorithm"], t["trial"]) for t in exact["trials"]}
-    fast = [t for t in data["trials"] if t["variant"] == FIXED and t["plant"] in plants]
-    same = [t for t in fast if (t["plant"], t["algorithm"], t["trial"]) in shared]
-    by_exact = lime.cells_of(exact)
-    compared = [plant for plant in plants if all(len(lime.quantity(by_exact.get((plant, FIXED, key), []))) >= 5 for key in ALGORITHMS)]
-    rows = []
-    for words, trials in (("FCL", exact["trials"]), ("fast model, same seeds", same), ("fast model, all trials", fast)):
-        cells, found, means = lime.cells_of({"trials": trials}), [], []
-        for key in ALGORITHMS:
-            mine = [t for t in trials if t["algorithm"] == key]
-            found.append(f"{len(mine) - lime.failures(mine)}")
-            means.append(" / ".join(lime._mean_text(lime.quantity(cells.get((plant, FIXED, key), [])), 0) for plant in plants))
-        order = " < ".join(_escaped(LABELS[key]) for key in lime.ranking(cells, compared))
-        rows.append([words, *means, f"{' / '.join(found)} of {len(trials) // len(ALGORITHMS)}", order])
-    heads = [_escaped(LABELS[key]) for key in ALGORITHMS]
-    names = " / ".join(map(str, plants))
-    head = [f"mean node cost on plants {names}", *heads, "paths found", f"ranking on {' and '.join(map(str, compared))}"]
-    table = markdown_table(head, rows)
-    results = {(t["plant"], t["algorithm"], t["trial"]): t["cost"] is None for t in same}
-    alike = sum(results[t["plant"], t["algorithm"], t["trial"]] == (t["cost"] is None) for t in exact["trials"])
-    return f"{table}\n\nOf the {len(exact['trials'])} trials with the same seed, {alike} end alike: both find a path, or neither does."
 
 
 # Leaves really touched.
@@ -148,7 +42,7 @@ def damage_heading(data: Results) -> str:
     budget = f"{options['iterations']} iterations" if options["iterations"] else f"{options['time_s']:g} s of search"
     if options["repeatable"]:
         budget = ", ".join(f"{damage.label(m)} {options['repeatable'][m.partition(':')[0]]:,}" for m in options["methods"])
-        budget = f"iterations of each method: {_escaped(budget)}"
+        budget = f"iterations of each method: {escaped(budget)}"
     return (
         f"{len({t['scene'] for t in plants})} plants, {len(usable)} limes that can be grasped without touching a stem "
         f"({len(plants) - len(usable)} of {len(plants)} cannot), {len(scans)} places in {len({t['scene'] for t in scans})} scans; {budget}."
@@ -213,7 +107,7 @@ def comparison_heading(data: Results) -> str:
     if longer:
         runs = {m: sum(t["seconds"] in longer for t in data["trials"] if t["method"] == m) for m in {t["method"] for t in data["trials"]}}
         words = ", ".join(f"{n} of {compare.LABELS.get(m, m)}" for m, n in sorted(runs.items()) if n)
-        text += f" Best known J: of all these runs and of runs of {longer[-1]:g} s ({_escaped(words)})."
+        text += f" Best known J: of all these runs and of runs of {longer[-1]:g} s ({escaped(words)})."
     return text
 
 
@@ -252,32 +146,32 @@ def _number(value: float) -> str:
 
 def comparison_costs(data: Results) -> str:
     """Median J at the marks."""
-    return _escaped(compare.cost_table(data, data["options"]["marks_s"], compare.TIME, "s"))
+    return escaped(compare.cost_table(data, data["options"]["marks_s"], compare.TIME, "s"))
 
 
 def comparison_ratios(data: Results) -> str:
     """Ratios to the best known J."""
-    return _escaped(compare.ratio_table(data, data["options"]["marks_s"]))
+    return escaped(compare.ratio_table(data, data["options"]["marks_s"]))
 
 
 def comparison_pairs(data: Results) -> str:
     """Pairs against the default planner."""
-    return _escaped(compare.paired_table(data, data["options"]["marks_s"]))
+    return escaped(compare.paired_table(data, data["options"]["marks_s"]))
 
 
 def comparison_effort(data: Results) -> str:
     """Checks and callbacks."""
-    return _escaped(compare.effort_table(data))
+    return escaped(compare.effort_table(data))
 
 
 def peers_checks(data: Results) -> str:
     """Median J at equal numbers of checks, of the runs that got so far."""
-    return _escaped(compare.cost_table(data, compare.CHECK_MARKS, compare.CHECKS, "checks"))
+    return escaped(compare.cost_table(data, compare.CHECK_MARKS, compare.CHECKS, "checks"))
 
 
 def peers_lead(data: Results) -> str:
     """Where the default planner is ahead, and where not."""
-    return _escaped(compare.lead_text(data, OURS_S)) + f"\n\nAsked: {PEER_SHARE:.0f} % of the problems."
+    return escaped(compare.lead_text(data, OURS_S)) + f"\n\nAsked: {PEER_SHARE:.0f} % of the problems."
 
 
 def peers_settings(data: Results) -> str:
@@ -285,7 +179,7 @@ def peers_settings(data: Results) -> str:
     rows = []
     for method in compare.methods_of(data):
         if settings := data["options"]["settings"].get(method):
-            rows.append([_escaped(compare.LABELS.get(method, method)), ", ".join(f"{k} {v}" for k, v in sorted(settings.items()))])
+            rows.append([escaped(compare.LABELS.get(method, method)), ", ".join(f"{k} {v}" for k, v in sorted(settings.items()))])
     return markdown_table(["peer", "settings"], rows)
 
 
@@ -303,14 +197,14 @@ Block = tuple[tuple[str, ...], Callable[..., str]]
 
 #: Name of a block: the kept results that it is made from, and the function that makes it.
 BLOCKS: dict[str, Block] = {
-    "lime.main": (("lime",), lime_main),
-    "lime.tests": (("lime",), lime_tests),
-    "lime.ratios": (("lime",), lime_ratios),
-    "lime.success": (("lime",), lime_success),
-    "lime.plants": (("lime",), lime_plants),
-    "lime.sensitivity": (("lime",), lime_sensitivity),
-    "lime.floor": (("lime",), lime_floor),
-    "lime.checkers": (("lime", "lime-fcl"), lime_checkers),
+    "lime.main": (("lime",), lime.main),
+    "lime.tests": (("lime",), lime.tests),
+    "lime.ratios": (("lime",), lime.ratios),
+    "lime.success": (("lime",), lime.success),
+    "lime.plants": (("lime",), lime.plants),
+    "lime.sensitivity": (("lime",), lime.sensitivity),
+    "lime.floor": (("lime",), lime.floor),
+    "lime.checkers": (("lime", "lime-fcl"), lime.checkers),
     "damage.heading": (("damage",), damage_heading),
     "damage.verdict": (("damage",), damage_verdict),
     "damage.excess": (("damage",), damage_excess),

@@ -173,6 +173,44 @@ def welch(a: str, b: str, first: Array, second: Array) -> Comparison:
     )
 
 
+@dataclass(frozen=True)
+class MeanTest:
+    """A two-tailed one-sample t-test of a mean against 0.
+
+    Attributes:
+        mean: of the values.
+        low: lower end of the mean's 95 % confidence interval.
+        high: its upper end.
+        t: statistic, NaN where the values do not differ.
+        dof: degrees of freedom.
+        p: p-value.
+    """
+
+    mean: float
+    low: float
+    high: float
+    t: float
+    dof: int
+    p: float
+
+
+def against_zero(values: Array) -> MeanTest | None:
+    """Test the mean of logarithms of ratios, or of paired differences, against 0; None with fewer than two values.
+
+    Args:
+        values: (n,).
+    """
+    if len(values) < 2:
+        return None
+    mean, error, half = mean_interval(values)
+    if error == 0.0:  # all alike: the interval is a point, and there is nothing to test with
+        return MeanTest(mean, mean, mean, float("nan"), len(values) - 1, float("nan"))
+    from scipy import stats
+
+    found = stats.ttest_1samp(values, 0.0)
+    return MeanTest(mean, mean - half, mean + half, float(found.statistic), len(values) - 1, float(found.pvalue))
+
+
 def _confidence_interval(x: Array, y: Array) -> tuple[float, float]:
     # pingouin rounds its interval to two digits, so it is taken from SciPy.
     from scipy import stats
