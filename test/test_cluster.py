@@ -98,6 +98,25 @@ def fail(number: int) -> int:
     raise ValueError(f"trial {number} is impossible")
 
 
+def fail_in_the_middle(number: int) -> int:
+    time.sleep(0.1 if number == 0 else 0.0 if number == 1 else 0.3)
+    if number == 0:
+        raise ValueError("trial 0 is impossible")
+    return number
+
+
+def test_an_error_comes_after_what_the_others_finished(dask: Cluster) -> None:
+    done: list[int] = []
+
+    def slow(number: int) -> None:
+        time.sleep(0.0 if done else 3.0)  # meanwhile the error arrives, and after it all the rest
+        done.append(number)
+
+    with pytest.raises(ValueError, match="trial 0 is impossible"):
+        run_on_cluster(fail_in_the_middle, range(6), slow, scheduler=dask.address, description="errors")
+    assert sorted(done) == [1, 2, 3, 4, 5]
+
+
 def die(number: int) -> int:
     os._exit(1)
 

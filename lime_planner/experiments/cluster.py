@@ -6,6 +6,7 @@ extra `cluster` here and on the workers, and the same version of this package th
 
 from __future__ import annotations
 
+import contextlib
 import threading
 import time
 from collections.abc import Callable, Sequence
@@ -25,6 +26,7 @@ ATTEMPTS = 5  #: to carry out a trial that Dask gives up, each of which has cost
 _IN_FLIGHT = 3  # tasks handed out ahead for each worker: busy workers, and little to do again when one dies
 _FEWEST_IN_FLIGHT = 8
 _COUNT_EVERY_S = 2.0
+_FETCH_TIMEOUT_S = 10.0
 
 _ONE_AT_A_TIME = threading.Lock()  # a worker may have several threads, but scenes and checkers are kept for one
 
@@ -81,6 +83,7 @@ def run_on_cluster(
     Raises:
         ParameterError: no scheduler answers at the address.
         ClusterError: the workers have another version of this package, the scheduler is gone, or a trial killed worker after worker.
+        Exception: what a trial raised; results that have arrived by then are handed over first.
     """
     from distributed import as_completed
 
@@ -97,6 +100,10 @@ def run_on_cluster(
         except KeyboardInterrupt:
             client.cancel(list(hand.held))
             return False
+        except Exception:
+            for result in hand.finished():
+                on_result(result)
+            raise
     return True
 
 
@@ -145,3 +152,13 @@ class _Hand:
             return None, self.submit(task, attempt + 1)
         except CancelledError as error:
             raise ClusterError("the cluster's scheduler is gone; --resume continues with another one") from error
+
+    def finished(self) -> list[Any]:
+        """Results that are there, but have not been taken yet."""
+        futures = [future for future in self.held if future.status == "finished"]
+        results = []
+        for future in futures:
+            # A worker that has died since takes its results with it.
+            with contextlib.suppress(Exception):
+                results.append(future.result(timeout=_FETCH_TIMEOUT_S))
+        return results
