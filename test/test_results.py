@@ -109,6 +109,8 @@ def test_the_cheapest_paths_are_clear_of_stems() -> None:
     for plant, *_, least, _ in rows_of("lime.floor")[:-1]:
         mine = [t for t in trials if t["plant"] == int(plant) and t["cost"] is not None]
         assert least == f"{min(t['cost'] for t in mine if t['J'] is not None):.0f}"
+    shares = [float(row[-1]) for row in rows_of("lime.floor")[:-1]]
+    assert shares[0] > 0.5 and max(shares[1:]) < 0.5  # far cheaper ones exist, but on the default plant
     assert rows_of("lime.floor")[0][3] != f"{min(t['cost'] for t in trials if t['plant'] == 0 and t['cost'] is not None):.0f}"
 
 
