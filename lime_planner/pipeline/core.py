@@ -89,7 +89,9 @@ class Pipeline:
         """Obstacles of a scene, those of the last call if nothing that they are made of has changed.
 
         Args:
-            scene, target, settings: see `prepare`.
+            scene: in the planning frame.
+            target: (3,) position of the tool at the target [m], or None for a check without one.
+            settings: radii, margins, keep-outs, leaf policy.
             should_stop: cancels.
 
         Raises:
@@ -280,7 +282,10 @@ class Pipeline:
         """Check a plan again before it is carried out, against the newest scene and arm state.
 
         Args:
-            result: the plan; scene: the newest; q_measured: (n,) [rad]; settings: radii and limits.
+            result: the plan.
+            scene: the newest.
+            q_measured: (n,) where the arm is [rad].
+            settings: radii and limits.
             should_stop: cancels.
 
         Returns:
