@@ -200,6 +200,25 @@ def test_every_publisher_is_heard_once(context: rclpy.Context, monkeypatch: pyte
     node.destroy_node()
 
 
+def test_an_older_message_does_not_take_the_place_of_a_newer_one(context: rclpy.Context) -> None:
+    node = Node("listener", context=context)
+    camera = node.create_publisher(String, "target", offer(RELIABLE, VOLATILE))
+    heard: list[str] = []
+    subscription = qos.AdaptiveSubscription(node, String, "target", offer(RELIABLE, VOLATILE), lambda msg: heard.append(msg.data))
+    deadline = time.monotonic() + 5.0
+    while not subscription._publishers and time.monotonic() < deadline:
+        subscription.check()
+    for number, sent in ((1, 1000), (3, 3000), (2, 2000), (3, 3000), (4, 4000)):  # as two profiles may hand them over
+        subscription._receive(String(data=str(number)), {"source_timestamp": sent, "publication_sequence_number": number})
+    assert heard == ["1", "3", "4"]
+    assert subscription.lost == 1
+    # A publisher that has taken the first one's place a moment ago counts from 1 again.
+    subscription._receive(String(data="new"), {"source_timestamp": 5000, "publication_sequence_number": 1})
+    assert heard[-1] == "new"
+    node.destroy_publisher(camera)
+    node.destroy_node()
+
+
 def test_messages_that_never_arrive_are_counted(context: rclpy.Context) -> None:
     listener, camera = Node("listener", context=context), Node("camera", context=context)
     executor = SingleThreadedExecutor(context=context)

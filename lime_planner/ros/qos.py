@@ -73,6 +73,7 @@ class AdaptiveSubscription:
         self.lost = 0
         self._publishers: set[tuple[int, ...]] = set()
         self._last_number = 0  # 0: none to go by
+        self._last_sent = 0
         self._callback = callback
         self._seen: deque[int] = deque(maxlen=16)
         self._collected: set[tuple[int, ...]] = set()
@@ -115,7 +116,11 @@ class AdaptiveSubscription:
         if sent and sent in self._seen:
             return
         self._seen.append(sent)
-        self._count(int(info.get("publication_sequence_number") or 0))
+        number = int(info.get("publication_sequence_number") or 0)
+        if len(self._publishers) == 1 and 0 < number < self._last_number and 0 < sent < self._last_sent:
+            return  # under one profile the next message came first: this one must not take its place
+        self._last_sent = max(self._last_sent, sent)
+        self._count(number)
         self._callback(msg)
 
     def _count(self, number: int) -> None:
