@@ -107,7 +107,7 @@ _NODE_TABLE = (
     Parameter("allow_empty_stem_cloud", False, "Whether a motion is allowed with an empty stem cloud or none."),
     Parameter("max_cloud_age_s", 0.0, "Refuse to plan on clouds older than this; 0: off.", "s", 0.0, 1e6),
     Parameter("max_joint_state_age_s", 0.3, "Refuse to plan or move on joint states older than this; 0: off.", "s", 0.0, 1e6),
-    Parameter("max_target_age_s", 0.0, "Refuse targets older than this; 0: off.", "s", 0.0, 1e6),
+    Parameter("max_target_age_s", 0.0, "Refuse targets older than this, when planning begins and when the motion is sent; 0: off.", "s", 0.0, 1e6),
     Parameter("label_field", "label", "Field of `labelled_cloud` that holds the class."),
     Parameter("leaf_labels", [0], "Classes of `labelled_cloud` that are leaves.", element=int),
     Parameter("stem_labels", [1], "Classes that are stems (every other class not named here is impermeable too).", element=int),
@@ -128,7 +128,7 @@ _NODE_TABLE = (
     Parameter("goal_tolerance_rad", 0.02, "A motion has succeeded when the arm rests this close to its last point.", "rad", 0.0005, 0.5),
     Parameter("goal_time_s", 2.0, "How long the arm may take to come to rest there after the motion's end.", "s", 0.1, 60.0),
     Parameter("replan_attempts", 0, "How often `~/plan` plans again from rest after a motion was stopped by a new stem or a deviation.", "", 0, 10),
-    Parameter("deadline_s", 0.0, "Give a plan up as TIMED_OUT after this long, certificate included; coming to rest and compiling do not count; 0: off.", "s", 0.0, 600.0),
+    Parameter("deadline_s", 0.0, "Give a request up as TIMED_OUT after this long, certificate and last checks included; what waits for rest or compiles before does not count; 0: off.", "s", 0.0, 600.0),
     Parameter("viewer_port", 0, "Port of the 3-D page; 0: off.", "", 0, 65535, read_only=True),
     Parameter("viewer_host", "127.0.0.1", "Address that the 3-D page is served at; elsewhere it is for looking only, unless LIME_PLANNER_VIEWER_TOKEN is set.", read_only=True),
 )
