@@ -126,6 +126,17 @@ def test_classes_have_one_meaning() -> None:
     for first, second in itertools.combinations(names, 2):
         with pytest.raises(ParameterError, match=f"{first} and {second} share 7; a class has one meaning"):
             snapshot_from(apart | {first: [7, 8], second: [9, 7]})
+    # The default of the fruit gives way: whoever numbers his classes otherwise need not know of it.
+    node = snapshot_from({"leaf_labels": [1], "stem_labels": [2], "ignored_labels": [0]}).node
+    assert (node.leaf_labels, node.stem_labels, node.fruit_labels, node.ignored_labels) == ((1,), (2,), (), (0,))
+
+
+def test_an_empty_list_in_a_file_is_one(context: rclpy.Context) -> None:
+    node, params = make(context, Parameter("fruit_labels", Parameter.Type.NOT_SET))
+    assert params.snapshot.node.fruit_labels == ()
+    assert node.set_parameters([Parameter("stem_labels", value=[1, 2])])[0].successful
+    assert params.snapshot.node.stem_labels == (1, 2)
+    node.destroy_node()
 
 
 def test_a_parameter_cannot_be_removed(context: rclpy.Context) -> None:

@@ -232,11 +232,43 @@ def test_where_the_arm_was_is_known_although_its_joints_were_not_yet() -> None:
     made = SceneSource(inputs, StaticFrames(), "base", lambda scene, q, _: seen.append(None if q is None else q[0]) or scene)  # type: ignore[index, func-returns-value]
     for number in range(200):  # more than are kept
         inputs.on_joint_state(stamped(JointState(name=list(JOINTS), position=[float(number), 0.0, 0.0]), NOW_S - 200.0 + number))  # type: ignore[arg-type]
+        inputs.on_joint_state(stamped(JointState(name=["finger"], position=[9.0]), NOW_S - 200.0 + number))  # type: ignore[arg-type]
         if number == 5:
             inputs.on_cloud("stem_cloud", stamped(cloud(5), NOW_S - 195.0))
     inputs.set_joints(JOINTS)
     made.scene(snapshot_from({}), never)
     assert seen == [5.0]
+
+
+def test_a_newer_cloud_does_not_hide_where_the_arm_was(inputs: Inputs) -> None:
+    seen: list[float] = []
+
+    def arm_filter(scene: Scene, q: np.ndarray, padding_m: float) -> Scene:
+        if not seen:  # while the first cloud is decoded, others come
+            for _ in range(5):
+                inputs.on_cloud("stem_cloud", cloud(6))
+        seen.append(q[0])
+        return scene
+
+    made = SceneSource(inputs, StaticFrames(), "base", arm_filter)
+    inputs.on_joint_state(stamped(JointState(name=list(JOINTS), position=[1.0, 0.0, 0.0]), NOW_S))  # type: ignore[arg-type]
+    inputs.on_cloud("stem_cloud", cloud(5))
+    inputs.on_joint_state(stamped(JointState(name=list(JOINTS), position=[2.0, 0.0, 0.0]), NOW_S + 0.1))  # type: ignore[arg-type]
+    for count in (5, 6, 6):
+        assert len(made.scene(snapshot_from({}), never).stem_points) == count
+    assert seen == [1.0, 2.0]
+
+
+def test_a_scene_is_made_again_once_it_is_known_where_the_arm_was(inputs: Inputs) -> None:
+    seen: list[object] = []
+    made = SceneSource(inputs, StaticFrames(), "base", lambda scene, q, _: seen.append(None if q is None else q[0]) or scene)  # type: ignore[index, func-returns-value]
+    inputs.on_cloud("stem_cloud", stamped(cloud(5), NOW_S))
+    for at_s in (-0.1, 0.1, 0.2, 0.3):
+        made.scene(snapshot_from({}), never)
+        names = list(JOINTS) if at_s < 0.15 else ["finger"]
+        inputs.on_joint_state(stamped(JointState(name=names, position=[10.0 * at_s, 0.0, 0.0][: len(names)]), NOW_S + at_s))  # type: ignore[arg-type]
+    made.scene(snapshot_from({}), never)
+    assert seen == [None, -1.0, pytest.approx(0.0, abs=1e-5)]
 
 
 def test_a_stop_is_noticed_between_the_steps(inputs: Inputs) -> None:

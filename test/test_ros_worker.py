@@ -8,8 +8,9 @@ from collections import Counter
 
 import pytest
 
+from lime_planner.ros.deadline import answered_after
 from lime_planner.ros.refusal import Refusal
-from lime_planner.ros.worker import Answer, Ticket, Worker, answered_after
+from lime_planner.ros.worker import Answer, Ticket, Worker
 from lime_planner.status import Status
 
 pytestmark = pytest.mark.alone

@@ -101,7 +101,7 @@ def run_trials(
         True when all are done; False after ctrl-C: what runs in other processes is finished and handed over, the others dropped.
 
     Raises:
-        WorkerError: a task ended one process after the other.
+        WorkerError: a task ended one process after the other; all others are done first.
         Exception: what a task raised; what runs in other processes is finished and handed over first.
     """
     console = console or Console(stderr=True)
@@ -137,6 +137,7 @@ class _Hand(Generic[Task, Result]):
         self.alone: deque[tuple[Task, int]] = deque()
         self.pending: dict[Future[Result], tuple[Task, int]] = {}
         self.error: BaseException | None = None
+        self.killer: WorkerError | None = None  # what is said in the end about tasks that end every process; the others are done first
         self.lost = False  # whether any process died
         self.pool = self._new_pool()
 
@@ -177,8 +178,8 @@ class _Hand(Generic[Task, Result]):
                     self._rebuild()
         finally:
             self.pool.shutdown(cancel_futures=True)
-        if self.error is not None:
-            raise self.error
+        if error := self.error or self.killer:
+            raise error
         return not told
 
     def _hand_out(self) -> bool:
@@ -210,8 +211,8 @@ class _Hand(Generic[Task, Result]):
             except BrokenProcessPool as error:
                 self.lost = True
                 if deaths >= RETRIES:  # it was alone
-                    self.error = self.error or WorkerError(f"a process died in each of {deaths + 1} attempts at {task!r}")
-                    self.error.__cause__ = self.error.__cause__ or error
+                    self.killer = self.killer or WorkerError(f"a process died in each of {deaths + 1} attempts at {task!r}")
+                    self.killer.__cause__ = self.killer.__cause__ or error
                 elif deaths + 1 >= RETRIES:
                     self.alone.append((task, deaths + 1))
                 else:

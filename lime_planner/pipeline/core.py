@@ -168,7 +168,9 @@ class Pipeline:
             figures["trajectory"] = follow.timed_motion(obstacles, checker, found.path, q, settings, clock, ended)
         except Stopped as stop:
             if stop.status is Status.CANCELLED and not should_stop():
-                stop = Stopped(Status.TIMED_OUT, f"the deadline of {deadline_s:.2f} s passed before a motion was certified")
+                stop = Stopped(
+                    Status.TIMED_OUT, f"the deadline, {deadline_s:.2f} s after planning began, passed before a motion was certified"
+                )
             return refused(stop, **figures)
         sentence = (
             f"{len(found.path)} waypoints over {figures['path_length_rad']:.2f} rad, {figures['leaf_contact_rad']:.3f} rad of it among "

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -16,30 +17,30 @@ Array = npt.NDArray[np.float64]
 
 #: How long after a cloud the joint states are looked through for the one of its stamp [s].
 _SETTLING_S = 1.0
+#: Clouds of each input that are remembered: newer ones arrive while one is decoded.
+_KEPT = 32
 
 
 @dataclass(frozen=True)
 class _Noted:
-    """What is known about the newest cloud of one input.
+    """What is known about one cloud.
 
     Attributes:
-        number: of the cloud.
         stamp_s, arrival_s: its stamp in ROS time (0.0: none), and when it arrived on the monotonic clock.
-        msg: the joint state that was the newest then, as it came.
+        messages: the joint states that had come by then, as they came, the newest last.
         q: where the arm stood (n,) [rad], as far as is known.
         settled: whether nothing better will be known.
     """
 
-    number: int
     stamp_s: float
     arrival_s: float
-    msg: Any
+    messages: Sequence[Any]
     q: Array | None
     settled: bool
 
 
 class ArmAtClouds:
-    """Notes the arm's configuration for every newest cloud; written by the callbacks, read by the worker."""
+    """Notes the arm's configuration for every cloud that comes; used by the callbacks, the engine's thread and the worker."""
 
     def __init__(self, joints: JointHistory) -> None:
         """Start empty.
@@ -48,37 +49,53 @@ class ArmAtClouds:
             joints: the measured states.
         """
         self._joints = joints
-        self._noted: dict[str, _Noted] = {}
+        self._lock = threading.Lock()
+        self._noted: dict[str, dict[int, _Noted]] = {}
 
-    def arrived(self, name: str, number: int, stamp_s: float, msg: Any) -> None:
+    def arrived(self, name: str, number: int, stamp_s: float, messages: Sequence[Any]) -> None:
         """Take note of a cloud.
 
         Args:
-            name: of its input; number: its own.
+            name: of its input.
+            number: of the cloud.
             stamp_s: its stamp in ROS time, 0.0 for none: the arm stood then where it stands now.
-            msg: the newest joint state as it came, None before the first one.
+            messages: the joint states that came last, as they came, for an arm that becomes known later.
         """
-        self._noted[name] = self._look(_Noted(number, stamp_s, time.monotonic(), msg, None, False))
+        with self._lock:
+            notes = self._noted.setdefault(name, {})
+            notes[number] = self._look(_Noted(stamp_s, time.monotonic(), tuple(messages), None, False))
+            while len(notes) > _KEPT:
+                del notes[min(notes)]
 
     def look(self) -> None:
         """Look once more for clouds that came before the joint states of their stamps; to be called with every joint state."""
-        for name, noted in list(self._noted.items()):
-            if not noted.settled:
-                self._noted[name] = self._look(noted)
+        with self._lock:
+            for notes in self._noted.values():
+                for number, noted in notes.items():
+                    if not noted.settled:
+                        notes[number] = self._look(noted)
 
     def begin_anew(self, read: Callable[[Any], ArmState | None]) -> None:
-        """Say that the arm is another one, or known now; `read` makes a state of a joint state message, or None."""
-        for name, noted in list(self._noted.items()):
-            state = None if noted.msg is None else read(noted.msg)
-            found = self._look(noted)
-            if state is not None and (found.q is None or noted.stamp_s <= 0.0):
-                found = replace(noted, q=state.q, settled=True)
-            self._noted[name] = found
+        """Say that the arm is another one, or known now.
+
+        Args:
+            read: makes a state of a joint state message; None where it is not about the arm.
+        """
+        with self._lock:
+            for notes in self._noted.values():
+                for number, noted in notes.items():
+                    found = self._look(noted)
+                    if found.q is None or noted.stamp_s <= 0.0:
+                        states = (read(message) for message in reversed(noted.messages))
+                        state = next((state for state in states if state is not None), None)
+                        found = found if state is None else replace(noted, q=state.q, settled=True)
+                    notes[number] = found
 
     def at(self, name: str, number: int) -> Array | None:
         """Return where the arm stood when a cloud was taken, (n,) [rad]; None when that is not known."""
-        noted = self._noted.get(name)
-        return None if noted is None or noted.number != number else noted.q
+        with self._lock:
+            noted = self._noted.get(name, {}).get(number)
+        return None if noted is None else noted.q
 
     def _look(self, noted: _Noted) -> _Noted:
         newest = self._joints.newest

@@ -30,6 +30,8 @@ CLOUDS = ("leaf_cloud", "stem_cloud", "labelled_cloud")
 
 #: Joint states kept as they came, for an arm that becomes known later.
 _RECENT_STATES = 50
+#: Of these, those kept with a cloud: the gripper's may come between the arm's.
+_FEW_STATES = 6
 
 
 @dataclass(frozen=True)
@@ -192,7 +194,7 @@ class Inputs:
             return
         sample = self.slots[name].newest
         assert sample is not None
-        self.arm_at_clouds.arrived(name, sample.number, sample.stamp_s, self._recent[-1][0] if self._recent else None)
+        self.arm_at_clouds.arrived(name, sample.number, sample.stamp_s, [msg for msg, _, _ in list(self._recent)[-_FEW_STATES:]])
 
     def on_target(self, msg: PoseStamped) -> bool:
         """Take in a target; a bad one takes the place of the one before, so that nothing falls back to an older lime."""

@@ -72,6 +72,9 @@ def snapshot_from(values: Mapping[str, Any]) -> Snapshot:
     checked = {name: validate(name, value) for name, value in values.items()}
     node = {name: checked.get(name, parameter.default) for name, parameter in NODE_PARAMETERS.items()}
     frozen: dict[str, Any] = {name: tuple(value) if isinstance(value, list) else value for name, value in node.items()}
+    if frozen["fruit_labels"] == tuple(NODE_PARAMETERS["fruit_labels"].default):  # who names a class himself need not know of it
+        named = {*frozen["leaf_labels"], *frozen["stem_labels"], *frozen["ignored_labels"]}
+        frozen["fruit_labels"] = tuple(label for label in frozen["fruit_labels"] if label not in named)
     for first, second in itertools.combinations(("leaf_labels", "stem_labels", "fruit_labels", "ignored_labels"), 2):
         both = sorted(set(frozen[first]) & set(frozen[second]))
         if both:
@@ -94,6 +97,7 @@ class NodeParameters:
         #: Told about every new snapshot, after it is in force.
         self.on_change: Callable[[Snapshot], None] = lambda _: None
         given = {name: parameter.value for name, parameter in node._parameter_overrides.items() if name in _TABLE}
+        given |= {name: [] for name, value in given.items() if value is None and _TABLE[name].kind is list}  # a file's [] has no type
         self._snapshot = snapshot_from(given)
         for name, parameter in _TABLE.items():
             # Given values were checked above and are put into the table's own type: 1 is a fine duration in a file.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,6 +17,7 @@ from lime_planner.errors import LimePlannerError
 from lime_planner.ros.answers import target_values
 from lime_planner.ros.board import Board
 from lime_planner.ros.convert import target_matrix
+from lime_planner.ros.deadline import Left, deadline
 from lime_planner.ros.engine import Engine, Loaded
 from lime_planner.ros.execution import Execution
 from lime_planner.ros.frames import Frames
@@ -27,7 +28,7 @@ from lime_planner.ros.refusal import Refusal
 from lime_planner.ros.retreat import way_back
 from lime_planner.ros.scene_source import SceneSource
 from lime_planner.ros.status import Phase
-from lime_planner.ros.worker import Answer, Ticket, answered_after
+from lime_planner.ros.worker import Answer, Ticket
 from lime_planner.scene.scene import Scene
 from lime_planner.status import Status
 
@@ -35,12 +36,6 @@ Array = npt.NDArray[np.float64]
 
 #: How often a plan is made at most: again when the arm had moved, or a stem was seen on the path, before it could be sent.
 _SENDING_ATTEMPTS = 2
-
-#: How long after its deadline a plan is given up for it that has not looked at the clock: amid a cloud of millions of points, say.
-_GRACE_S = 0.02
-
-#: Time left until the deadline [s]; None without one.
-Left = Callable[[], float | None]
 
 
 @dataclass(frozen=True)
@@ -93,10 +88,11 @@ class Requests:
             The context of its ticket.
         """
         target: Any = None
+        last, previewed = self.execution.last, self.previewed  # once: other threads take them away
         if kind == "retreat":
-            target = None if self.execution.last is None else self.execution.last.context.get("target")
+            target = None if last is None else last.context.get("target")
         elif kind == "execute":
-            target = None if self.previewed is None else self.previewed[1].target
+            target = None if previewed is None else previewed[1].target
         else:
             with contextlib.suppress(Refusal):  # the job will say what is wrong with it
                 target = self.inputs.peek_target() if goal is None else Target(target_matrix(goal), goal)
@@ -108,7 +104,7 @@ class Requests:
         self._target(ticket, snapshot)  # a missing or bad target is answered before anything is waited for or stopped
         with self._ready(ticket, snapshot) as loaded:
             self._come_to_rest(ticket, snapshot)
-            with _deadline(ticket, snapshot) as left_s:
+            with deadline(ticket, snapshot.node.deadline_s) as left_s:
                 for attempt in range(1, _SENDING_ATTEMPTS + 1):
                     shown = self._planned(ticket, loaded, snapshot, self._target(ticket, snapshot), left_s)
                     if shown.result.status is not Status.SUCCEEDED:
@@ -136,12 +132,13 @@ class Requests:
     def execute(self, ticket: Ticket) -> Answer:
         """Check the previewed plan against the newest inputs and send it."""
         snapshot = self._begin(ticket)
-        if self.previewed is None:
+        previewed = self.previewed
+        if previewed is None:
             raise Refusal(Status.NOTHING_TO_EXECUTE, "there is no previewed plan; call ~/preview first")
         if self.execution.active:
             raise Refusal(Status.ARM_MOVING, "a motion is being executed; wait for its end or call ~/stop first")
         with self._ready(ticket, snapshot) as loaded:
-            model, shown = self.previewed
+            model, shown = previewed
             result = shown.result
             if shown.target is not None:
                 self._note_target(ticket, shown.target)
@@ -149,7 +146,7 @@ class Requests:
                 raise Refusal(Status.NOTHING_TO_EXECUTE, "the robot model has changed since the preview")
             self.board.note(ticket.plan_id, **_figures(result))
             self._come_to_rest(ticket, snapshot)
-            with _deadline(ticket, snapshot):
+            with deadline(ticket, snapshot.node.deadline_s):
                 arm = self._arm(snapshot)
                 number = self.source().newest_stem_number()
                 scene = self.source().scene(snapshot, ticket.should_stop)
@@ -161,20 +158,23 @@ class Requests:
     def retreat(self, ticket: Ticket) -> Answer:
         """Go back along the motion executed last, as far as the arm got."""
         snapshot = self._begin(ticket)
+        nothing = Refusal(Status.NOTHING_TO_EXECUTE, "no motion has been executed that could be gone back along")
         if self.execution.last is None:
-            raise Refusal(Status.NOTHING_TO_EXECUTE, "no motion has been executed that could be gone back along")
+            raise nothing
         with self._ready(ticket, snapshot) as loaded:
             self._come_to_rest(ticket, snapshot)
             last = self.execution.last
+            if last is None:  # another arm was taken in meanwhile
+                raise nothing
             target = last.context.get("target")
             if isinstance(target, Target):
                 self._note_target(ticket, target)
-            with _deadline(ticket, snapshot):
+            with deadline(ticket, snapshot.node.deadline_s):
                 arm = self._arm(snapshot)
                 waypoints = way_back(last.result.waypoints, arm.q, forward=last.retreat)
                 number = self.source().newest_stem_number()
                 scene = self.source().scene(snapshot, ticket.should_stop)
-                self.board.show(ticket.plan_id, Phase.PLANNING)
+                self._show_phase(ticket, Phase.PLANNING)
                 T_base_tool, should_stop = last.T_base_tool, ticket.should_stop
                 result = self._guarded(
                     lambda: loaded.pipeline.follow(waypoints, scene, T_base_tool, snapshot.plan, should_stop=should_stop)
@@ -203,7 +203,7 @@ class Requests:
     def _preview(self, ticket: Ticket, snapshot: Snapshot, target: Callable[[], Target]) -> Answer:
         target()
         with self._ready(ticket, snapshot) as loaded:
-            with _deadline(ticket, snapshot) as left_s:
+            with deadline(ticket, snapshot.node.deadline_s) as left_s:
                 shown = self._planned(ticket, loaded, snapshot, target(), left_s)
             if ticket.answered:
                 return _answer_of(shown.result)
@@ -226,14 +226,14 @@ class Requests:
         """Stop what runs and wait until the arm is seen to rest."""
         node = snapshot.node
         self._arm(snapshot)
-        if ticket.answered:
-            raise Refusal(Status.CANCELLED, "the request was answered before it began")  # and must not stop what a newer one moves
         if self.execution.active:
             self.source().scene(snapshot, ticket.should_stop)  # a request that cannot be served does not stop a good motion
+            if ticket.answered:  # nor does one that nobody waits for any more
+                raise Refusal(Status.CANCELLED, "the request was answered before it began")
             self.execution.stop(Status.PREEMPTED, f"request {ticket.plan_id} ({ticket.kind}) took over")
         elif self.inputs.joints.still(node.stillness_time_s, node.stillness_rad):
             return
-        self.board.show(ticket.plan_id, Phase.STOPPING)
+        self._show_phase(ticket, Phase.STOPPING)
         deadline = time.monotonic() + node.stillness_timeout_s + node.stillness_time_s
         while self.execution.active and time.monotonic() < deadline and not ticket.answered:
             time.sleep(0.005)
@@ -241,7 +241,11 @@ class Requests:
         if not self.inputs.joints.wait_still(node.stillness_time_s, node.stillness_rad, remaining, ticket.should_stop):
             self._arm(snapshot)  # silence has its own code
             raise Refusal(Status.ARM_MOVING, f"the arm did not come to rest within {node.stillness_timeout_s:g} s")
-        self.board.show(ticket.plan_id, Phase.PLANNING)
+        self._show_phase(ticket, Phase.PLANNING)
+
+    def _show_phase(self, ticket: Ticket, phase: Phase) -> None:
+        if not ticket.answered:  # its last phase has been shown
+            self.board.show(ticket.plan_id, phase)
 
     def _planned(self, ticket: Ticket, loaded: Loaded, snapshot: Snapshot, target: Target, left_s: Left) -> Shown:
         began_s = time.monotonic()
@@ -284,7 +288,9 @@ class Requests:
             Which stem clouds the motion was checked against.
         """
         result, snapshot = shown.result, shown.snapshot
-        self.inputs.check_target(shown.target, snapshot.node.max_target_age_s, snapshot.node.max_clock_skew_s)
+        # Who looks at a preview takes his time: it is as old then as it may be.
+        max_age_s = 0.0 if ticket.kind == "execute" else snapshot.node.max_target_age_s
+        self.inputs.check_target(shown.target, max_age_s, snapshot.node.max_clock_skew_s)
         number = self.source().newest_stem_number()
         stems = self.source().changed_stems(shown.stem_number, snapshot, ticket.should_stop)
         if stems is not None:
@@ -315,19 +321,6 @@ class Requests:
         if self.source().newest_stem_number() != number:
             self.look()
         return _answer_of(result)
-
-
-@contextlib.contextmanager
-def _deadline(ticket: Ticket, snapshot: Snapshot) -> Iterator[Left]:
-    """Keep the deadline of one request, from here to the end of the block, whatever its job is busy with."""
-    deadline_s = snapshot.node.deadline_s
-    if deadline_s <= 0.0:
-        yield lambda: None
-        return
-    began_s = time.monotonic()
-    late = Answer(Status.TIMED_OUT, f"the deadline of {deadline_s:.2f} s passed before a motion was certified")
-    with answered_after(deadline_s + _GRACE_S, ticket, late):
-        yield lambda: max(began_s + deadline_s - time.monotonic(), 0.0)
 
 
 def _bare(status: Status, message: str) -> str:

@@ -19,6 +19,7 @@ from lime_planner.scene.scene import Scene, merged
 from lime_planner.status import Status
 
 Float32 = npt.NDArray[np.float32]
+Array = npt.NDArray[np.float64]
 #: Removes the arm from a scene: (scene, configuration at the cloud's stamp or None, padding [m]) -> scene.
 ArmFilter = Callable[[Scene, npt.NDArray[np.float64] | None, float], Scene]
 
@@ -32,6 +33,7 @@ class _Key:
     number: int
     labels: tuple[object, ...]
     padding_m: float
+    arm: tuple[float, ...] | None
 
 
 class SceneSource:
@@ -149,15 +151,16 @@ class SceneSource:
         """Return one cloud's scene: the same object again as long as cloud and settings are the same."""
         node = snapshot.node
         labels = (node.label_field, node.leaf_labels, node.stem_labels, node.fruit_labels, node.ignored_labels)
-        key = _Key(sample.number, labels, snapshot.plan.self_filter_padding_m)
+        q = self._inputs.arm_at_clouds.at(name, sample.number)  # may be known better than at the last look
+        key = _Key(sample.number, labels, snapshot.plan.self_filter_padding_m, None if q is None else tuple(q))
         kept = self._parts.get(name)
         if kept is None or kept[0] != key:
-            kept = self._parts[name] = (key, self._checked_part(name, sample, snapshot, should_stop))
+            kept = self._parts[name] = (key, self._checked_part(name, sample, q, snapshot, should_stop))
         return kept[1]
 
-    def _checked_part(self, name: str, sample: Sample, snapshot: Snapshot, should_stop: Callable[[], bool]) -> Scene:
+    def _checked_part(self, name: str, sample: Sample, q: Array | None, snapshot: Snapshot, should_stop: Callable[[], bool]) -> Scene:
         try:
-            return self._part(name, sample, snapshot, should_stop)
+            return self._part(name, sample, q, snapshot, should_stop)
         except Refusal as error:
             if error.status is Status.BAD_INPUT:
                 self._inputs.slots[name].reject(sample, str(error))
@@ -166,7 +169,7 @@ class SceneSource:
             self._inputs.slots[name].reject(sample, f"{name}: {error}")
             raise Refusal(Status.BAD_INPUT, f"{name}: {error}") from None
 
-    def _part(self, name: str, sample: Sample, snapshot: Snapshot, should_stop: Callable[[], bool]) -> Scene:
+    def _part(self, name: str, sample: Sample, q: Array | None, snapshot: Snapshot, should_stop: Callable[[], bool]) -> Scene:
         node = snapshot.node
         labelled = name == "labelled_cloud"
         cloud = decode_cloud(sample.msg, name, required=(node.label_field,) if labelled else (), optional=(COST_FIELD,))
@@ -187,7 +190,7 @@ class SceneSource:
             permeability_cost=cloud.columns.get(COST_FIELD),
         )
         _ask(should_stop)
-        return self._arm_filter(scene, self._inputs.arm_at_clouds.at(name, sample.number), snapshot.plan.self_filter_padding_m)
+        return self._arm_filter(scene, q, snapshot.plan.self_filter_padding_m)
 
     def _in_planning_frame(self, points: Float32, header: object, timeout_s: float, should_stop: Callable[[], bool]) -> Float32:
         frame = header.frame_id.strip().lstrip("/")  # type: ignore[attr-defined]

@@ -7,10 +7,9 @@ because it must `commit` first, and a ticket that is answered does not commit.
 
 from __future__ import annotations
 
-import contextlib
 import threading
 import traceback
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -84,24 +83,6 @@ class Ticket:
             self._answer = answer
         self.on_answer(self, answer)
         return True
-
-
-@contextlib.contextmanager
-def answered_after(seconds: float, ticket: Ticket, answer: Answer) -> Iterator[None]:
-    """Take a request away from a job that is still at work on it after a time, whatever it is doing.
-
-    Args:
-        seconds: from now; the block's end calls it off.
-        ticket: of the job.
-        answer: what the caller is told.
-    """
-    timer = threading.Timer(seconds, ticket.take_away, (answer,))
-    timer.daemon = True
-    timer.start()
-    try:
-        yield
-    finally:
-        timer.cancel()
 
 
 class Worker:
