@@ -13,7 +13,9 @@ from lime_planner.parameters import PLANNERS, settings_from
 from lime_planner.pipeline import Pipeline
 from lime_planner.poses import pose_to_matrix
 from lime_planner.robot.model import home, load_robot
+from lime_planner.ros.arm_filter import make_arm_filter
 from lime_planner.scene.plant import generate_plant
+from lime_planner.scene.scene import Scene
 
 def ready():
     modules = [module for name, module in sys.modules.items() if name.startswith("lime_planner.")]
@@ -28,6 +30,16 @@ before = ready()
 for planner in PLANNERS:
     settings = settings_from({"planner": planner, "iterations": 5000})
     print(planner, pipeline.plan(scene, pose_to_matrix(scene.target_pose), home(robot), settings, seed=1).message)
+rng = np.random.default_rng(0)  # a cloud so dense that it is thinned, with costs, and everything that settings can ask for
+clouds = [points[rng.integers(0, len(points), 160_000)] for points in (scene.leaf_points, scene.stem_points)]
+points = np.concatenate([cloud + rng.normal(scale=1e-3, size=cloud.shape).astype(np.float32) for cloud in clouds])
+costs = np.linspace(0.5, 1.5, len(points)).astype(np.float32)
+dense = Scene.from_points(points, np.repeat([0, 1], 160_000), frame_id=scene.frame_id, permeability_cost=costs)
+dense = make_arm_filter(robot)(dense, home(robot), 0.01)
+boxed = {"leaf_policy": "solid", "keep_out_boxes": [0.9, 0.9, 0.9, 1.0, 1.0, 1.0]}
+for options in ({"leaf_cost": "graded", "leaf_speed_scale": 0.5}, boxed):
+    settings = settings_from({"iterations": 2000, **options})
+    print(options, pipeline.plan(dense, pose_to_matrix(scene.target_pose), home(robot), settings, seed=1).message)
 print(len(before), "kernels were ready")
 for module, name, _ in sorted(ready() - before):
     print("MISSED", module, name)

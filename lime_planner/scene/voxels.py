@@ -116,6 +116,13 @@ def _lonely(points: Any, edge_m: float, at_least: int, bits: int) -> Any:
     return lonely
 
 
+def _frozen(points: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+    # A scene's arrays are read-only, others are not: Numba would compile each kernel twice.
+    view = np.ascontiguousarray(points).view()
+    view.setflags(write=False)
+    return view
+
+
 def _bits(n: int) -> int:
     return max(4, int(2 * n).bit_length())
 
@@ -130,13 +137,13 @@ def thin(points: npt.NDArray[np.float32], edge_m: float) -> tuple[npt.NDArray[np
     Returns:
         Indices of the kept points (K,), and for each point (N,) which of them stands for it.
     """
-    kept, stands_for = _thin(np.ascontiguousarray(points), float(edge_m))
+    kept, stands_for = _thin(_frozen(points), float(edge_m))
     return kept, stands_for
 
 
 def displacement(points: npt.NDArray[np.float32], kept: npt.NDArray[np.int32], stands_for: npt.NDArray[np.int32]) -> float:
     """Return the largest distance [m] from a point to the kept one that stands for it; at most √3 edges, usually little over one."""
-    return float(_farthest(np.ascontiguousarray(points), kept, stands_for))
+    return float(_farthest(_frozen(points), kept, stands_for))
 
 
 def lonely(points: npt.NDArray[np.float32], radius_m: float, neighbours: int) -> npt.NDArray[np.bool_]:
@@ -144,7 +151,7 @@ def lonely(points: npt.NDArray[np.float32], radius_m: float, neighbours: int) ->
 
     The block holds the ball of `radius_m`: a point with enough neighbours in the ball is never called lonely.
     """
-    result: npt.NDArray[np.bool_] = _lonely(np.ascontiguousarray(points), float(radius_m), neighbours + 1, _bits(len(points)))
+    result: npt.NDArray[np.bool_] = _lonely(_frozen(points), float(radius_m), neighbours + 1, _bits(len(points)))
     return result
 
 
