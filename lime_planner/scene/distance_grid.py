@@ -139,6 +139,20 @@ def _slices(count: int, size: int, pause: Callable[[], None]) -> Iterator[tuple[
         yield first, min(first + max(size, 1), count)
 
 
+def filled(shape: tuple[int, ...], value: float, pause: Callable[[], None]) -> npt.NDArray[np.float32]:
+    """Return an array of one value; the system hands out a hundred megabytes no faster than they can be written.
+
+    Args:
+        shape: of the array.
+        value: of every element.
+        pause: see `fill_channel`.
+    """
+    array = np.empty(shape, np.float32)
+    for first, last in _slices(shape[0], 4 * _SLICE_NODES // max(int(np.prod(shape[1:])), 1), pause):
+        array[first:last] = value
+    return array
+
+
 def fill_channel(
     points: npt.NDArray[np.float32],
     origin: npt.NDArray[np.float64],
@@ -158,8 +172,7 @@ def fill_channel(
         pause: called every ten milliseconds or so; what it raises ends the work.
     """
     shape = values.shape[:3]
-    squares = np.full(shape, 1e12, np.float32)
-    seeds = np.full(shape, 1e12, np.float32)
+    squares, seeds = (filled(shape, 1e12, pause) for _ in range(2))
     band = np.float32(_BAND_NODES * spacing_m)
     planes, rows = _SLICE_NODES // (shape[1] * shape[2]), _SLICE_NODES // (shape[0] * shape[2])
     for first, last in _slices(len(points), _SLICE_POINTS, pause):

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lime_planner.jit import inline_kernel, kernel
-from lime_planner.scene.distance_grid import fill_channel
+from lime_planner.scene.distance_grid import fill_channel, filled
 
 Points = npt.NDArray[np.float32]
 
@@ -154,7 +154,7 @@ def build_fields(
     while np.prod(np.ceil((high - low) / spacing_m) + 2.0) > _MAX_NODES:  # an extent far longer than the others has many border nodes
         spacing_m *= 1.05
     shape = np.ceil((high - low) / spacing_m).astype(np.int64) + 2
-    values = np.full((*shape, 2), EMPTY_DISTANCE_M, np.float32)
+    values = filled((*(int(count) for count in shape), 2), EMPTY_DISTANCE_M, pause)
     for channel, points in ((STEM, stems), (LEAF, leaves)):
         if len(points):
             fill_channel(points, low, spacing_m, channel, values, pause)
