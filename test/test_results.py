@@ -140,12 +140,20 @@ def test_checkers_in_pairs_by_hand() -> None:
         for row in rows_of("lime.checkers")
         if len(row) == 8 and row[0].isdigit()
     }
+    fast_model = "fast model, same seeds"
     assert [key for key, cells in bold.items() if cells[0] and cells[1]] == [
-        ("1", "fast model, same seeds"),
-        ("1", "fast model, all trials"),
-        ("3", "fast model, all trials"),
+        ("1", "FCL"),
+        ("1", fast_model),
+        ("3", fast_model),
+        ("5", "FCL"),
     ]
-    assert not any(any(cells) for (_, checker), cells in bold.items() if checker == "FCL")
+    told_from_p = {"FCL": ["1", "4", "5"], fast_model: ["0", "1", "3", "4", "5"]}
+    for checker, plants in told_from_p.items():
+        assert [plant for (plant, by), cells in bold.items() if by == checker and cells[1]] == plants
+    for row in rows_of("lime.checkers"):
+        if row[0].isdigit():  # APF-RRT* has the lowest mean of the three
+            means = [float(cell.split()[0].rstrip(",")) for cell in row[2:5]]
+            assert means[1] == min(means)
     assert not any(cells[2] for cells in bold.values())  # RRT* and P-RRT* cannot be told apart
 
 
