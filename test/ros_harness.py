@@ -159,7 +159,11 @@ class Bench:
 
     def disconnect_controller(self) -> None:
         """Stop subscribing to the motion command."""
-        self.node.destroy_subscription(self._controller)
+        self.unsubscribe(self._controller)
+
+    def unsubscribe(self, subscription: Any) -> None:
+        """Take a subscription down in the executor's thread: in any other one the executor may be about to wait for it."""
+        self.result(self.executor.create_task(self.node.destroy_subscription, subscription), 10.0)
 
     def close(self) -> None:
         """Take everything down."""

@@ -118,7 +118,7 @@ class TestTheDemoGraph:
         path = by_name["tool_path"].points
         assert np.linalg.norm(hand - [path[-1].x, path[-1].y, path[-1].z], axis=1).min() < 0.1
         assert ("touched_leaves" in by_name) is (float(bench.statuses[-1]["leaf_contact_rad"]) > 0.0)
-        bench.node.destroy_subscription(watching)
+        bench.unsubscribe(watching)
 
     def test_stopping_on_the_way_and_going_on_from_there(self, bench: Bench, robot: Robot) -> None:
         bench.commands.clear()
