@@ -192,6 +192,10 @@ def lead_text(results: Mapping[str, Any], ours_s: float = 0.5) -> str:
     return text
 
 
+def _percent(shares: Sequence[float]) -> str:
+    return f"{100 * float(np.median(shares)):.0f} %" if shares else "–"
+
+
 def effort_table(results: Mapping[str, Any]) -> str:
     """What the runs did: configurations checked a second, and how a peer's time divides into checks, callbacks and its own work."""
     rows = []
@@ -202,14 +206,13 @@ def effort_table(results: Mapping[str, Any]) -> str:
         called = [t["callback_share"] for t in trials if "callback_share" in t]
         failures = sum("failure" in t for t in trials)
         heuristic = [t["heuristic_share"] for t in trials if t.get("heuristic_share")]
-        cells = [f"{100 * float(np.median(v)):.0f} %" if v else "–" for v in (compiled, called, heuristic)]
-        if heuristic:
-            cells[1] += f" (heuristic {cells[2]})"
+        in_heuristic = f" (heuristic {_percent(heuristic)})" if heuristic else ""
         rows.append(
             [
                 LABELS.get(method, method),
                 f"{rate:,.0f}",
-                *cells[:2],
+                _percent(compiled),
+                _percent(called) + in_heuristic,
                 str(failures),
                 str(sum(t.get("paths_through_stem", 0) for t in trials)),
             ]

@@ -160,11 +160,13 @@ class Engine(Attendant):
         self._say("loading the robot")
         try:
             loaded = self._builder(self._settings, urdf)
-            if self._warm:  # the model in use serves until the next one has shown that it can
+            replacing = self._warm
+            if replacing:  # the model in use serves until the next one has shown that it can
                 loaded.warm_up()
             if not self._exchange(loaded):
                 return
-            loaded.warm_up()
+            if not replacing:
+                loaded.warm_up()
         except LimePlannerError as error:
             self._fail(f"the robot cannot be loaded: {error}")
         except Exception as error:

@@ -139,7 +139,7 @@ class Execution:
     @property
     def stopping(self) -> bool:
         """Whether a stop was sent and the arm does not rest yet."""
-        return self._stopping is not None
+        return self.ending is not None
 
     @property
     def last(self) -> Motion | None:
