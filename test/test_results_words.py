@@ -15,11 +15,10 @@ from conftest import ROOT
 from lime_planner.experiments import comparison_report as compare
 from lime_planner.experiments.kept import read
 from lime_planner.experiments.lime_trials import FIXED, PAPER, VARIANTS
-from lime_planner.experiments.results_page import blocks_in
+from lime_planner.experiments.results_page import blocks_in, without_blocks
 
 PAGE = (ROOT / "docs" / "results.md").read_text()
 
-_BLOCK = re.compile(r"^<!-- [a-z][a-z0-9.-]* -->\n.*?^<!-- end -->$", re.MULTILINE | re.DOTALL)
 _FRACTION = (
     r"\b(?:half|halves|halved|doubled?|thirds?|quarters?|fifths?|sixths?|eighths?|tenths?|hundredths?|twice|thrice|percent|per cent)\b"
 )
@@ -31,7 +30,7 @@ FIGURES = re.compile("|".join((_FRACTION, _SHARE, _FACTOR, _SCENE)), re.IGNORECA
 
 def prose(page: str) -> str:
     """A page without blocks, commands and addresses, in one line."""
-    text = re.sub(r"```.*?```|\]\([^)]*\)", "", _BLOCK.sub("", page), flags=re.DOTALL)
+    text = re.sub(r"```.*?```|\]\([^)]*\)", "", without_blocks(page), flags=re.DOTALL)
     return re.sub(r"\s+", " ", text)
 
 

@@ -42,9 +42,14 @@ def filled(page: str, folder: Path) -> str:
     return _BLOCK.sub(text_of, page)
 
 
+def without_blocks(page: str) -> str:
+    """A page without the texts that are made from results."""
+    return _BLOCK.sub("", page)
+
+
 def numbers_outside(page: str) -> list[str]:
     """Numbers of a page that stand in no block, code or link, for whoever wants to know where they come from."""
-    rest = _BLOCK.sub("", page)
+    rest = without_blocks(page)
     rest = re.sub(r"```.*?```|`[^`]*`|\]\([^)]*\)", "", rest, flags=re.DOTALL)
     return re.findall(r"(?<![\w.])\d+(?:,\d{3})*(?:\.\d+)?", rest)
 
