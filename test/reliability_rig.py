@@ -176,7 +176,7 @@ class Rig:
         if row.service == "preview_to":
             count = len(self.bench.statuses)
             assert not self.bench.call("preview_to", arranged).plan.poses
-            self.wait_until(lambda: any(s["phase"] == "DONE" for s in self.bench.statuses[count:]), "status")
+            self.bench.answer_since(count)
             return str(self.messages[-1])
         service = "preview" if row.code == "SUCCEEDED" and row.service == "plan" else row.service
         response = self.bench.call(service)

@@ -258,6 +258,22 @@ class Bench:
         """How many messages of an input the planner has received, by its diagnostics."""
         return int(self.health.get(f"{name}.received", "0"))
 
+    def status_of(self, response: Any) -> dict[str, str]:
+        """The status that ended the plan of this answer; it may come after the answer."""
+        return self.wait_phase("DONE", plan_id(response.message))
+
+    def answer_since(self, count: int, timeout_s: float = 5.0) -> dict[str, str]:
+        """How a plan ended, by the statuses after the first `count`: for services whose response has no message.
+
+        The end of a motion that was under way reads DONE as well, with the code of its own plan: it does not count.
+        """
+
+        def found() -> list[dict[str, str]]:
+            return [s for s in self.statuses[count:] if s["phase"] == "DONE" and "execution_code" not in s]
+
+        self.wait(found, timeout_s, "the end of a plan")
+        return found()[-1]
+
     def wait_phase(self, phase: str, plan_id: int | None = None, timeout_s: float = 20.0) -> dict[str, str]:
         """Wait for a status with this phase (and plan) and return it."""
 
