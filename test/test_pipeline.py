@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import json
 import time
 from functools import cache
@@ -274,6 +275,26 @@ def test_recheck() -> None:
     assert pipeline.recheck(refused, scene, q, used)[0] is Status.NOTHING_TO_EXECUTE
     with pytest.raises(ProblemError, match="6 finite"):
         pipeline.recheck(result, scene, q[:5], used)
+
+
+def test_a_check_that_was_stopped_never_passes_for_clear() -> None:
+    """Even by somebody who wants to stop only once: what remained of the motion was not looked at."""
+    scene, _, result = made()
+
+    def stopped_once(wanted: int) -> tuple[Status, bool]:
+        asks = itertools.count(1)
+        status, _ = pipeline_of().recheck(result, scene, result.waypoints[0], settings(**QUICK), should_stop=lambda: next(asks) == wanted)
+        return status, next(asks) > wanted
+
+    wanted = 1
+    while True:
+        status, stopped = stopped_once(wanted)
+        if not stopped:  # fewer questions than that
+            break
+        assert status is Status.CANCELLED
+        wanted += 1
+    assert status is Status.SUCCEEDED
+    assert wanted > 10  # the fields' questions, and one for every few configurations
 
 
 def test_obstruction() -> None:

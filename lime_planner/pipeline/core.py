@@ -243,7 +243,6 @@ class Pipeline:
                 raise Stopped(found.status, f"no path to any of {len(goals.configurations)} goal configurations within {amount}")
             hit = hit_of(checker, sample_path(found.path, CERTIFIED_STEP_RAD)[0], should_stop)
             clock.lap("certificate")
-            ask(should_stop)
             if hit is None:
                 return found
         raise Stopped(Status.PATH_INVALID, f"the exact check refuses the path: {hit}")
@@ -322,7 +321,7 @@ class Pipeline:
             should_stop: ends the look early.
 
         Returns:
-            The contact in words, or None.
+            The contact in words; None if there is none, or if the look was ended before it found one.
         """
         target = None if result.T_base_tool is None else result.T_base_tool[:3, 3]
         return follow.obstruction(lambda: stem_checker(self.robot, scene, target, settings), result.trajectory, from_time_s, should_stop)

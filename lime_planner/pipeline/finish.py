@@ -14,11 +14,13 @@ from lime_planner.motion.timing import time_path
 from lime_planner.motion.trajectory import Trajectory
 from lime_planner.parameters import Settings
 from lime_planner.pipeline.obstacles import Obstacles
+from lime_planner.pipeline.steps import Stopped
 from lime_planner.poses import matrix_to_pose
 from lime_planner.robot.arm_space import measure
 from lime_planner.robot.collision import LEAF
 from lime_planner.robot.exact import ExactChecker
 from lime_planner.robot.model import Robot
+from lime_planner.status import Status
 
 Array = npt.NDArray[np.float64]
 
@@ -46,10 +48,16 @@ def sample_path(waypoints: Array, step_rad: float) -> tuple[Array, Array]:
 
 
 def hit_of(checker: ExactChecker, configurations: Array, should_stop: Callable[[], bool]) -> str | None:
-    """Check configurations exactly, ends and middle first; the contact found in words, None if there is none."""
+    """Check configurations exactly, one after another; the contact found in words, None if there is none.
+
+    Raises:
+        Stopped: CANCELLED before the last one; what was not looked at must never pass for clear.
+    """
     certificate = checker.certify(configurations, should_stop)
-    if certificate.ok or certificate.hit is None:
+    if certificate.ok:
         return None
+    if certificate.hit is None:
+        raise Stopped(Status.CANCELLED, "the request was stopped during the exact check")
     return f"{certificate.hit} at sample {certificate.index} of {len(configurations)}"
 
 

@@ -53,7 +53,6 @@ def timed_motion(
             raise Stopped(Status.PATH_INVALID, "; ".join(broken))
         hit = hit_of(checker, trajectory.configurations(CERTIFIED_STEP_RAD), should_stop)
         clock.lap("certificate")
-        ask(should_stop)
         if hit is None:
             return trajectory
     raise Stopped(Status.PATH_INVALID, f"the exact check refuses the timed motion: {hit}")
@@ -89,7 +88,6 @@ def follow(
         clock.lap("fields")
         hit = hit_of(checker, sample_path(path, CERTIFIED_STEP_RAD)[0], should_stop)
         clock.lap("certificate")
-        ask(should_stop)
         if hit is not None:
             raise Stopped(Status.PATH_INVALID, f"the exact check refuses the path: {hit}")
         figures = path_figures(world, checker, path, None)
@@ -128,7 +126,6 @@ def recheck(
         if broken:
             return Status.PATH_INVALID, "; ".join(broken)
         hit = hit_of(world.exact_checker(), trajectory.configurations(CERTIFIED_STEP_RAD), should_stop)
-        ask(should_stop)
     except Stopped as stop:
         return stop.status, stop.sentence
     if hit is not None:
@@ -145,4 +142,7 @@ def obstruction(
     rest = trajectory.configurations(CERTIFIED_STEP_RAD, from_time_s)
     if len(rest) == 0:
         return None
-    return hit_of(checker(), rest, should_stop)
+    try:
+        return hit_of(checker(), rest, should_stop)
+    except Stopped:
+        return None
