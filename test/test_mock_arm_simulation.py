@@ -186,6 +186,13 @@ class TestFaults:
         assert np.allclose(behind, 0.05 * MOTION.sample_velocity(MOTION.duration_s / 2), atol=0.006)
         assert np.abs(late[-1] - GOAL).max() < 1e-3
 
+    def test_speed_scaling(self, controller):
+        slow = played(arm(controller, faults={"speed_scaling": 0.5}), seconds=2.5 * MOTION.duration_s)
+        half = slow[round(MOTION.duration_s / 0.01)]
+        expected = MOTION.sample(MOTION.duration_s / 2) if controller == "jtc" else GOAL  # the driver knows no such thing
+        assert np.abs(half - expected).max() < 0.02
+        assert np.abs(slow[-1] - GOAL).max() < 0.01
+
     def test_stall_and_recovery(self, controller):
         subject = arm(controller, faults={"stall_at_fraction": 0.5})
         end = played(subject)[-1]

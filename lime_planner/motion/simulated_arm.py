@@ -28,6 +28,7 @@ class Faults:
     Attributes:
         lag_s: time constant with which the arm follows its controller [s].
         gain_error: part by which every motion comes out too large (negative: too small).
+        speed_scaling: pace at which a joint trajectory controller goes through its motions, part of the planned one.
         noise_rad: standard deviation of the reported positions [rad].
         drop_probability: part of the states that are not reported, 0 to 1.
         state_delay_s: age of the states when they are reported [s].
@@ -39,6 +40,7 @@ class Faults:
 
     lag_s: float = 0.0
     gain_error: float = 0.0
+    speed_scaling: float = 1.0
     noise_rad: float = 0.0
     drop_probability: float = 0.0
     state_delay_s: float = 0.0
@@ -113,7 +115,7 @@ class SimulatedArm:
         self._jtc: JtcLaw | None = None
         self._begun_at = q.copy()
         self._clock_s = 0.0
-        self._begun_s = 0.0
+        self._played_s = 0.0  # how far the motion is, by the controller's own clock
         self._duration_s = 0.0
         self._stalled = False
         self._rest_s = 0.0
@@ -149,7 +151,7 @@ class SimulatedArm:
     @property
     def moving(self) -> bool:
         """Whether a motion is being carried out."""
-        return not self._stalled and (self._kinova.running if self._jtc is None else self._clock_s - self._begun_s < self._jtc.duration_s)
+        return not self._stalled and (self._kinova.running if self._jtc is None else self._played_s < self._jtc.duration_s)
 
     def command(self, command: Command) -> Verdict:
         """Take a motion command as the controller does.
@@ -170,7 +172,7 @@ class SimulatedArm:
         if verdict.accepted:
             self._begun_at = self._q.copy()
             self._wanted = self._q.copy()
-            self._begun_s = self._clock_s
+            self._played_s = 0.0
             self._duration_s = command.times_s[-1] + max(command.start_s or 0.0, 0.0)
             self._stalled = False
         return verdict
@@ -189,8 +191,8 @@ class SimulatedArm:
     def _tick(self) -> None:
         faults = self._faults
         self._clock_s += TICK_S
-        elapsed_s = self._clock_s - self._begun_s
-        if 0.0 < faults.stall_at_fraction < 1.0 and self.moving and elapsed_s >= faults.stall_at_fraction * self._duration_s:
+        self._played_s += TICK_S * (faults.speed_scaling if self.controller == "jtc" else 1.0)
+        if 0.0 < faults.stall_at_fraction < 1.0 and self.moving and self._played_s >= faults.stall_at_fraction * self._duration_s:
             self._stalled = True
             self._wanted = self._q.copy()
         if self.controller == "kinova":
@@ -198,7 +200,7 @@ class SimulatedArm:
             if not self._stalled:
                 self._wanted = self._wanted + (1.0 + faults.gain_error) * velocity * TICK_S
         elif self._jtc is not None and not self._stalled:
-            commanded = self._jtc.sample(elapsed_s) - self._offset
+            commanded = self._jtc.sample(self._played_s) - self._offset
             self._wanted = commanded + faults.gain_error * (commanded - self._begun_at)
         follow = 1.0 if faults.lag_s <= 0.0 else 1.0 - np.exp(-TICK_S / faults.lag_s)
         moved = follow * (self._wanted - self._q)

@@ -86,6 +86,7 @@ class Engine(Attendant):
         self._loaded: Loaded | None = None
         self._failure = ""
         self._description: str | None = None
+        self._offered: str | None = None
         self._warm = False
         self.state = "waiting for robot_description" if settings.robot == FROM_TOPIC else "loading the robot"
         self._start()
@@ -101,9 +102,11 @@ class Engine(Attendant):
         return self._warm
 
     def offer(self, urdf: str) -> None:
-        """Take a robot description in as soon as no plan and no motion runs."""
+        """Take a robot description in as soon as no plan and no motion runs; the one that was offered last is not taken in twice."""
         with self._condition:
-            self._description = urdf
+            if urdf == self._offered:  # its publisher was restarted: the way back out of the plant must not be lost for that
+                return
+            self._offered = self._description = urdf
             self._condition.notify_all()
 
     @contextlib.contextmanager
@@ -197,6 +200,8 @@ class Engine(Attendant):
     def _fail(self, sentence: str) -> None:
         # With an older model at hand the node goes on with it, and says so in the log.
         with self._condition:
+            if self._description is None:
+                self._offered = None  # whoever offers it again wants another try
             if not self._warm:
                 self._failure = self.state = sentence
             self._condition.notify_all()

@@ -6,10 +6,11 @@ called by the executor while a motion runs. A motion is never sent while another
 
 from __future__ import annotations
 
+import dataclasses
 import threading
 import time
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,7 @@ import numpy.typing as npt
 
 from lime_planner.motion.trajectory import Trajectory
 from lime_planner.ros.joints import ArmState, JointHistory
+from lime_planner.ros.motions import Ended, Motion
 from lime_planner.ros.params import Snapshot
 from lime_planner.ros.refusal import Refusal
 from lime_planner.status import Status
@@ -29,53 +31,24 @@ SILENCE_S = 0.5
 
 
 @dataclass(frozen=True)
-class Motion:
-    """A motion that was sent.
+class _Stop:
+    """A stop that was sent.
 
     Attributes:
-        plan_id: the request it belongs to.
-        result: the plan, as the pipeline returned it.
-        trajectory: what was sent.
-        started_s: monotonic time of sending.
-        snapshot: the parameters of the plan.
-        T_base_tool: the target it leads to, or on a retreat away from, (4, 4).
-        retreat: whether it leads back along an earlier one.
-        replans_left: how often it may be planned again if it is aborted.
-        context: the request's context (its target).
-    """
-
-    plan_id: int
-    result: Any
-    trajectory: Trajectory
-    started_s: float
-    snapshot: Snapshot
-    T_base_tool: Array | None = None
-    retreat: bool = False
-    replans_left: int = 0
-    context: Mapping[str, Any] = field(default_factory=dict)
-
-    def elapsed_s(self) -> float:
-        """Time since sending [s]."""
-        return time.monotonic() - self.started_s
-
-
-@dataclass(frozen=True)
-class Ended:
-    """How a motion ended.
-
-    Attributes:
-        motion, status, sentence: which one, how, and why.
-        cancels: `Execution.cancels` at that moment.
+        motion, status, sentence: what was stopped, as what, and why.
+        sent_s: when, on the monotonic clock.
+        over_s: when it should be over.
     """
 
     motion: Motion
     status: Status
     sentence: str
-    cancels: int = 0
+    sent_s: float
+    over_s: float
 
 
-#: Makes the stop: (motion or None, newest measured configuration or None, arm on the plan?) -> what to send, or None.
-StopMaker = Callable[[Motion | None, Array | None, bool], Trajectory | None]
+#: Makes the stop: (motion or None, newest measured state or None, arm on the plan?) -> what to send, or None.
+StopMaker = Callable[[Motion | None, ArmState | None, bool], Trajectory | None]
 
 
 class Execution:
@@ -91,6 +64,7 @@ class Execution:
         on_stop: Callable[[Motion], None],
         on_end: Callable[[Ended], None],
         may_move: Callable[[], bool],
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
         """Make an execution at rest.
 
@@ -103,6 +77,7 @@ class Execution:
             on_stop: is told about each motion that is being stopped.
             on_end: is told about each motion's end, once, from whichever thread notices.
             may_move: whether motions are allowed now, whatever was allowed when the plan was asked for.
+            clock: the time that the controller goes by [s].
         """
         self._joints = joints
         self._prepare = prepare
@@ -112,9 +87,11 @@ class Execution:
         self._on_stop = on_stop
         self._on_end = on_end
         self._may_move = may_move
+        self._clock = clock
         self._lock = threading.RLock()
         self._motion: Motion | None = None
-        self._stopping: tuple[Motion, Status, str, float] | None = None
+        self._stopping: _Stop | None = None
+        self._restless: Motion | None = None  # a motion that could not be seen to rest after its stop, until the arm is seen to
         self._last: Motion | None = None
         #: How often somebody wanted the arm to stop and to stay: whoever would move it again by himself must look at this.
         self.cancels = 0
@@ -134,7 +111,7 @@ class Execution:
     def ending(self) -> Motion | None:
         """The motion that is being stopped."""
         stopping = self._stopping
-        return None if stopping is None else stopping[0]
+        return None if stopping is None else stopping.motion
 
     @property
     def stopping(self) -> bool:
@@ -183,7 +160,8 @@ class Execution:
             if not commit():
                 return None
             self._publish(message)
-            self._motion = self._last = Motion(plan_id, result, trajectory, time.monotonic(), snapshot, **more)
+            self._motion = self._last = Motion(plan_id, result, trajectory, self._clock(), snapshot, clock=self._clock, **more)
+            self._restless = None
             return self._motion
 
     def _check_start(self, q: Array, trajectory: Trajectory, tolerance_rad: float) -> None:
@@ -198,6 +176,8 @@ class Execution:
     def stop(self, status: Status, sentence: str) -> bool:
         """Stop what runs; the command is on the wire on return. False when nothing of ours runs.
 
+        Somebody who stops an arm again that should stand by now, and does not, gets a hold sent.
+
         Args:
             status: the motion's `execution_code`.
             sentence: why.
@@ -207,20 +187,36 @@ class Execution:
             self.cancels += cancelled
             motion = self._motion
             if motion is None:
-                if cancelled and self._stopping is not None:  # a motion that is aborted may be planned again; a cancelled one may not
-                    self._stopping = (self._stopping[0], status, sentence, self._stopping[3])
+                if cancelled and self._stopping is not None:
+                    self._stop_again(self._stopping, sentence)
                 return self._stopping is not None
-            state = self._joints.newest
-            command = self._make_stop(motion, None if state is None else state.q, status is not Status.EXECUTION_DEVIATED)
+            command = self._make_stop(motion, self._joints.newest, status is not Status.EXECUTION_DEVIATED)
+            now_s = time.monotonic()
+            over_s = now_s + motion.snapshot.node.execution_lag_s
             if command is not None:
                 self._publish(self._prepare(command))
+                over_s += command.duration_s
             self._motion = None
-            self._stopping = (motion, status, sentence, time.monotonic())
+            self._stopping = _Stop(motion, status, sentence, now_s, over_s)
         self._on_stop(motion)
         return True
 
+    def _stop_again(self, stop: _Stop, sentence: str) -> None:
+        """Take in that somebody wants an arm to stay that is being stopped already."""
+        node = stop.motion.snapshot.node
+        if time.monotonic() > stop.over_s and self._joints.moving(node.stillness_time_s, node.stillness_rad):
+            self._hold()
+        # A motion that is aborted may be planned again; a cancelled one may not.
+        self._stopping = dataclasses.replace(stop, status=Status.CANCELLED, sentence=sentence)
+
+    def _hold(self) -> bool:
+        command = self._make_stop(None, self._joints.newest, False)
+        if command is not None:
+            self._publish(self._prepare(command))
+        return command is not None
+
     def hold_foreign_motion(self, snapshot: Snapshot) -> str:
-        """Send a hold when the arm moves although nothing of ours runs (a motion from before a restart, say).
+        """Send a hold when the arm moves although nothing of ours runs: a motion from before a restart, say, or one that did not end.
 
         Returns:
             What was found and done, in words; empty when the arm rests, as far as is known.
@@ -232,13 +228,16 @@ class Execution:
                 return ""
             if not self._joints.moving(node.stillness_time_s, node.stillness_rad):
                 return ""
+            if self._restless is not None:
+                return f"the arm has not come to rest since plan {self._restless.plan_id}: a hold was sent" if self._hold() else ""
             if not node.motion_enabled:  # whoever has forbidden motions moves the arm by other means, or must stop it by them
                 return "the arm moves, but not by this node, and no hold was sent, because motion_enabled is false"
-            command = self._make_stop(None, state.q, False)
-            if command is None:
-                return ""
-            self._publish(self._prepare(command))
-            return "the arm moved, but not by this node: a hold was sent"
+            return "the arm moved, but not by this node: a hold was sent" if self._hold() else ""
+
+    def reached_s(self, motion: Motion) -> float:
+        """Return how far on a motion's plan the arm was when it was measured last [s]; it is not behind that now."""
+        state = self._joints.newest
+        return max(motion.elapsed_s() - motion.snapshot.node.execution_lag_s, 0.0) if state is None else motion.fit(state)[0]
 
     def on_state(self, state: ArmState) -> None:
         """Compare a new measurement with the plan."""
@@ -246,14 +245,12 @@ class Execution:
             motion = self._motion
             if motion is None:
                 return
-            node = motion.snapshot.node
-            elapsed_s = state.arrival_s - motion.started_s
-            if elapsed_s < 0.0:
-                return
-            off, joint = deviation(motion.trajectory, state.q, elapsed_s, node.execution_lag_s)
-            if off > node.execution_tolerance_rad:
-                name, limit = motion.trajectory.joint_names[joint], node.execution_tolerance_rad
-                sentence = f"{name} is {off:.3f} rad from the plan at {elapsed_s:.2f} s, the limit is {limit:g} rad"
+            off = np.abs(motion.fit(state)[1])
+            joint = int(off.argmax())
+            limit = motion.snapshot.node.execution_tolerance_rad
+            if off[joint] > limit:
+                name = motion.trajectory.joint_names[joint]
+                sentence = f"{name} is {off[joint]:.3f} rad from the plan at {motion.elapsed_s():.2f} s, the limit is {limit:g} rad"
                 self.stop(Status.EXECUTION_DEVIATED, sentence)
 
     def tick(self) -> None:
@@ -264,20 +261,25 @@ class Execution:
                 ended = self._rest_after_stop()
             elif self._motion is not None:
                 ended = self._look_at(self._motion)
+            elif self._restless is not None:
+                node = self._restless.snapshot.node
+                if self._joints.still(node.stillness_time_s, node.stillness_rad):
+                    self._restless = None
         if ended is not None:
             self._on_end(ended)
 
     def _rest_after_stop(self) -> Ended | None:
         assert self._stopping is not None
-        motion, status, sentence, since_s = self._stopping
-        node = motion.snapshot.node
-        waited_s = time.monotonic() - since_s
+        stop = self._stopping
+        node = stop.motion.snapshot.node
+        waited_s = time.monotonic() - stop.sent_s
         rests = waited_s >= node.stillness_time_s and self._joints.still(node.stillness_time_s, node.stillness_rad)
         if not rests and waited_s < node.stillness_timeout_s:
             return None
         self._stopping = None
+        self._restless = None if rests else stop.motion
         more = "" if rests else f"; it could not be seen to rest within {node.stillness_timeout_s:g} s"
-        return Ended(motion, status, sentence + more, self.cancels)
+        return Ended(stop.motion, stop.status, stop.sentence + more, self.cancels)
 
     def _look_at(self, motion: Motion) -> Ended | None:
         node = motion.snapshot.node
@@ -303,22 +305,3 @@ class Execution:
                 f"the limit is {node.goal_tolerance_rad:g} rad, at rest",
             )
         return None
-
-
-def deviation(trajectory: Trajectory, q: Array, elapsed_s: float, lag_s: float) -> tuple[float, int]:
-    """Return the largest joint difference to the best fitting moment of the last `lag_s` seconds of the plan.
-
-    Args:
-        trajectory: the plan.
-        q: measured configuration, (n,) [rad].
-        elapsed_s: time since sending [s].
-        lag_s: how far the arm may be late [s].
-
-    Returns:
-        The difference [rad] and the index of the joint that has it.
-    """
-    times_s = np.linspace(max(elapsed_s - lag_s, 0.0), elapsed_s, 16)
-    off = np.abs(trajectory.sample(times_s) - q)
-    best = int(off.max(axis=1).argmin())
-    joint = int(off[best].argmax())
-    return float(off[best, joint]), joint

@@ -70,18 +70,26 @@ class MarkerDesk(Attendant):
     def check(self) -> None:
         """Draw the newest plan if somebody has come who has not seen it; to be called now and then."""
         with self._condition:
-            if self._newest is not None and self._newest[0] is not self._drawn and self._publisher.get_subscription_count() > 0:
+            if self._wanted() is not None:
                 self._condition.notify_all()
+
+    def _wanted(self) -> tuple[Shown, Loaded | None] | None:
+        """Return the newest plan if it is to be drawn."""
+        if self._newest is None or self._newest[0] is self._drawn or self._publisher.get_subscription_count() == 0:
+            return None
+        return self._newest
 
     def _run(self) -> None:
         while True:
             with self._condition:
-                self._condition.wait()
+                # What came while the last plan was drawn, the end among it, was not waited for when it was announced.
+                self._condition.wait_for(lambda: self._closed or self._wanted() is not None)
                 if self._closed:
                     return
-                if self._newest is None or self._newest[0] is self._drawn:
+                wanted = self._wanted()
+                if wanted is None:  # the subscriber has left meanwhile
                     continue
-                shown, loaded = self._newest
+                shown, loaded = wanted
                 self._drawn = shown
             try:
                 self._draw(shown, loaded)

@@ -22,6 +22,7 @@ TABLE: tuple[Parameter, ...] = (
     Parameter("seed", 0, "Seed of noise, drops and orders.", minimum=0, read_only=True),
     Parameter("lag_s", 0.0, "Fault: time constant with which the arm follows its controller.", unit="s", minimum=0.0, maximum=10.0),
     Parameter("gain_error", 0.0, "Fault: part by which motions come out too large.", minimum=-1.0, maximum=1.0),
+    Parameter("speed_scaling", 1.0, "Fault: pace of a joint trajectory controller, part of the planned one.", minimum=0.0, maximum=1.0),
     Parameter("noise_rad", 0.0, "Fault: standard deviation of the reported positions.", unit="rad", minimum=0.0, maximum=1.0),
     Parameter("drop_probability", 0.0, "Fault: part of the states that are not published.", minimum=0.0, maximum=1.0),
     Parameter("state_delay_s", 0.0, "Fault: age of the states when they are published.", unit="s", minimum=0.0, maximum=LONGEST_DELAY_S),

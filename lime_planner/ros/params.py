@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import difflib
 import itertools
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,6 +20,11 @@ from lime_planner.scene import point_cloud2
 
 _TABLE = {**PARAMETERS, **NODE_PARAMETERS}
 _ARRAYS = {int: RosParameter.Type.INTEGER_ARRAY, float: RosParameter.Type.DOUBLE_ARRAY, str: RosParameter.Type.STRING_ARRAY}
+
+#: Parameters that every rclpy node has.
+_ROS_NAMES = ("use_sim_time", "start_type_description_service")
+#: How alike two names are (difflib's ratio) before one is taken for a slip of the other.
+_SLIP_RATIO = 0.85
 
 
 @dataclass(frozen=True)
@@ -84,6 +90,26 @@ def snapshot_from(values: Mapping[str, Any]) -> Snapshot:
     return Snapshot(settings_from({name: value for name, value in checked.items() if name in PARAMETERS}), NodeSettings(**frozen))
 
 
+def check_names(given: Iterable[str]) -> list[str]:
+    """Return the names of start values that mean nothing here, one sentence each.
+
+    A file may hold other nodes' parameters too, so a name alone is no error; a name that is nearly one of ours is a slip, and what
+    it was to forbid would be allowed without it.
+
+    Raises:
+        ParameterError: a name that is nearly one of the table's.
+    """
+    sentences = []
+    for name in given:
+        if name in _TABLE or name in _ROS_NAMES or name.startswith("qos_overrides."):
+            continue
+        close = difflib.get_close_matches(name, _TABLE, n=3, cutoff=_SLIP_RATIO)
+        if close:
+            raise ParameterError(f"there is no parameter {name!r}; did you mean {', '.join(close)}?")
+        sentences.append(f"there is no parameter {name!r}; its value is ignored")
+    return sentences
+
+
 class NodeParameters:
     """Declares the table on a node and keeps the current `Snapshot`."""
 
@@ -91,9 +117,11 @@ class NodeParameters:
         """Declare everything.
 
         Raises:
-            ParameterError: a value given at start (file, command line) is not allowed.
+            ParameterError: a value given at start (file, command line) is not allowed, or its name is nearly that of a parameter.
         """
         self._node = node
+        for sentence in check_names(node._parameter_overrides):
+            node.get_logger().warning(sentence)
         #: Told about every new snapshot, after it is in force.
         self.on_change: Callable[[Snapshot], None] = lambda _: None
         given = {name: parameter.value for name, parameter in node._parameter_overrides.items() if name in _TABLE}

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import sys
+import time
 import traceback
 from collections.abc import Callable
 from functools import partial
@@ -32,11 +33,12 @@ from lime_planner.ros.arm_filter import make_arm_filter
 from lime_planner.ros.board import Board
 from lime_planner.ros.convert import to_joint_trajectory, to_path
 from lime_planner.ros.engine import FROM_TOPIC, Builder, Engine, Loaded, build
-from lime_planner.ros.execution import Ended, Execution
+from lime_planner.ros.execution import Execution
 from lime_planner.ros.frames import make_frames
 from lime_planner.ros.inputs import CLOUDS, Inputs
 from lime_planner.ros.marker_desk import MarkerDesk
 from lime_planner.ros.memory import give_back
+from lime_planner.ros.motions import Ended
 from lime_planner.ros.params import NodeParameters, Snapshot
 from lime_planner.ros.refusal import Refusal
 from lime_planner.ros.requests import Requests, Shown
@@ -87,10 +89,11 @@ class PlannerNode(Node):
             to_joint_trajectory,
             self._command.publish,
             self._command.get_subscription_count,
-            lambda motion, q, on_path: make_stop(self._robot(), motion, q, on_path),
+            lambda motion, state, on_path: make_stop(self._robot(), motion, state, on_path),
             lambda motion: self.board.show(motion.plan_id, Phase.STOPPING),
             self._on_end,
             lambda: self.params.snapshot.node.motion_enabled,
+            self._controller_time_s,
         )
         self.worker = Worker(self.get_logger().error, give_back)
         self.engine = Engine(
@@ -113,7 +116,9 @@ class PlannerNode(Node):
         )
         self.markers = MarkerDesk(self._markers, lambda: self.engine.loaded, lambda: self.worker.current is not None, self._now, self._warn)
         self.params.on_change = self._on_parameters
-        self.watch = StemWatch(self.execution, make_look(lambda: self.source, lambda: self.engine.loaded), self._warn)
+        self.watch = StemWatch(
+            self.execution, make_look(lambda: self.source, lambda: self.engine.loaded, self.execution.reached_s), self._warn
+        )
         self._open_inputs(settings.plan.robot)
         self.desk = Services(self, self.worker, self.requests, self.execution, self.board, self._robot, self._log)
         steady = Clock(clock_type=ClockType.STEADY_TIME)  # the watch goes on where simulated time stands still
@@ -234,6 +239,10 @@ class PlannerNode(Node):
 
     def _now(self) -> Time:
         return self.get_clock().now().to_msg()
+
+    def _controller_time_s(self) -> float:
+        """A simulation's controller goes by its clock; any other one by real time, which nobody sets back."""
+        return self._ros_now_s() if self.get_clock().ros_time_is_active else time.monotonic()
 
     def _ros_now_s(self) -> float:
         return float(self.get_clock().now().nanoseconds) * 1e-9

@@ -205,9 +205,9 @@ class Requests:
         with self._ready(ticket, snapshot) as loaded:
             with deadline(ticket, snapshot.node.deadline_s) as left_s:
                 shown = self._planned(ticket, loaded, snapshot, target(), left_s)
-            if ticket.answered:
-                return _answer_of(shown.result)
-            self.previewed = (loaded, shown) if shown.result.status is Status.SUCCEEDED else None
+            # Only a plan whose caller hears that it was made may be carried out later.
+            if shown.result.status is Status.SUCCEEDED and ticket.commit():
+                self.previewed = (loaded, shown)
             return _answer_of(shown.result)
 
     def _target(self, ticket: Ticket, snapshot: Snapshot) -> Target:

@@ -207,7 +207,8 @@ def _ask(should_stop: Callable[[], bool]) -> None:
 
 
 def _refuse_emptiness(names: Iterable[str], scene: Scene, node: NodeSettings) -> None:
-    if len(scene.stem_points) + len(scene.fruit_points) or node.allow_empty_stem_cloud:
+    # Fruit does not count: the lime to be picked is in view whatever the segmentation made of the stems, and is spared as the target.
+    if len(scene.stem_points) or node.allow_empty_stem_cloud:
         return
     received, gone = scene.counts.get("received", 0), scene.counts.get("non_finite", 0)
     sentence = f"no stem point among the {received} points of {' and '.join(names) or 'no cloud'} ({gone} not finite)"

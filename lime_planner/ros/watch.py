@@ -11,7 +11,8 @@ from collections.abc import Callable
 from typing import Any
 
 from lime_planner.ros.attendant import Attendant
-from lime_planner.ros.execution import Execution, Motion
+from lime_planner.ros.execution import Execution
+from lime_planner.ros.motions import Motion
 from lime_planner.ros.refusal import Refusal
 from lime_planner.status import Status
 
@@ -75,12 +76,13 @@ class StemWatch(Attendant):
             self._execution.stop(Status.STEM_APPEARED, sentence)
 
 
-def make_look(source: Callable[[], Any], engine: Callable[[], Any]) -> Look:
+def make_look(source: Callable[[], Any], engine: Callable[[], Any], reached_s: Callable[[Motion], float]) -> Look:
     """Make the usual look: newest scene, pipeline's check of the remaining trajectory.
 
     Args:
         source: the scene source in use.
         engine: the loaded model in use, or None.
+        reached_s: how far on its plan the arm is [s].
     """
 
     def look(motion: Motion, should_stop: Callable[[], bool]) -> str | None:
@@ -89,7 +91,7 @@ def make_look(source: Callable[[], Any], engine: Callable[[], Any]) -> Look:
             return None
         scene = source().stems(motion.snapshot, should_stop)
         sentence: str | None = loaded.pipeline.obstruction(
-            motion.result, scene, motion.snapshot.plan, from_time_s=motion.elapsed_s(), should_stop=should_stop
+            motion.result, scene, motion.snapshot.plan, from_time_s=reached_s(motion), should_stop=should_stop
         )
         return sentence
 

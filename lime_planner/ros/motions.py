@@ -1,0 +1,72 @@
+"""A motion that was sent, and how it ended."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from lime_planner.motion.progress import best_fit
+from lime_planner.motion.trajectory import Trajectory
+from lime_planner.ros.joints import ArmState
+from lime_planner.ros.params import Snapshot
+from lime_planner.status import Status
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Motion:
+    """A motion that was sent.
+
+    Attributes:
+        plan_id: the request it belongs to.
+        result: the plan, as the pipeline returned it.
+        trajectory: what was sent.
+        started_s: when it was sent, by `clock`.
+        snapshot: the parameters of the plan.
+        T_base_tool: the target it leads to, or on a retreat away from, (4, 4).
+        retreat: whether it leads back along an earlier one.
+        replans_left: how often it may be planned again if it is aborted.
+        context: the request's context (its target).
+        clock: the time that the controller goes by [s]: the machine's, or a simulation's.
+    """
+
+    plan_id: int
+    result: Any
+    trajectory: Trajectory
+    started_s: float
+    snapshot: Snapshot
+    T_base_tool: Array | None = None
+    retreat: bool = False
+    replans_left: int = 0
+    context: Mapping[str, Any] = field(default_factory=dict)
+    clock: Callable[[], float] = time.monotonic
+
+    def elapsed_s(self) -> float:
+        """Time since sending [s]."""
+        return self.clock() - self.started_s
+
+    def fit(self, state: ArmState) -> tuple[float, Array]:
+        """Compare a measurement with the plan: the moment that it fits best [s], and how far off each joint is, (n,) [rad]."""
+        elapsed_s = self.elapsed_s() - (time.monotonic() - state.arrival_s)
+        return best_fit(self.trajectory, state.q, elapsed_s, self.snapshot.node.execution_lag_s)
+
+
+@dataclass(frozen=True)
+class Ended:
+    """How a motion ended.
+
+    Attributes:
+        motion, status, sentence: which one, how, and why.
+        cancels: `Execution.cancels` at that moment.
+    """
+
+    motion: Motion
+    status: Status
+    sentence: str
+    cancels: int = 0
