@@ -48,7 +48,8 @@ class AdaptiveSubscription:
     """A subscription that hears every publisher as well as it offers, by subscribing again under further profiles.
 
     The base profile, reliable and volatile, stays in any case. Best effort comes along while a publisher offers only that;
-    transient local for a few seconds whenever a new publisher latches, to collect what a volatile subscription misses. A message
+    transient local for a few seconds whenever a new publisher latches, to collect what a volatile subscription misses: every latching
+    publisher hands over its last message then, and what is older than a message that is here already is history, not news. A message
     that arrives under two profiles is passed on once.
 
     Attributes:
@@ -80,7 +81,7 @@ class AdaptiveSubscription:
         self._collecting_since_s = 0.0
         self._best_effort = _profile(base.depth, ReliabilityPolicy.BEST_EFFORT, DurabilityPolicy.VOLATILE)
         self._latched = _profile(base.depth, base.reliability, DurabilityPolicy.TRANSIENT_LOCAL)
-        self._base = self._subscribe(base)
+        self._base = self._subscribe(base, self._receive)
         self._further: dict[str, Any] = {}
 
     def check(self) -> None:
@@ -88,6 +89,8 @@ class AdaptiveSubscription:
         publishers = self._node.get_publishers_info_by_topic(self._base.topic_name)
         there = {tuple(info.endpoint_gid) for info in publishers}
         if there != self._publishers:
+            if not there & self._publishers:
+                self._last_sent = 0  # nobody is left whose clock it was
             self._publishers, self._last_number = there, 0
         self._keep("best effort", self._best_effort, any(is_best_effort(info.qos_profile) for info in publishers))
         latching = {tuple(info.endpoint_gid) for info in publishers if is_latched(info.qos_profile)}
@@ -102,14 +105,18 @@ class AdaptiveSubscription:
     def _keep(self, word: str, profile: QoSProfile, needed: bool) -> None:
         if needed and word not in self._further:
             self._node.get_logger().info(f"{self._base.topic_name}: subscribing as {word} too, which is what a publisher offers")
-            self._further[word] = self._subscribe(profile)
+            self._further[word] = self._subscribe(profile, self._collect if word == "latched" else self._receive)
         elif not needed and word in self._further:
             self._node.destroy_subscription(self._further.pop(word))
 
-    def _subscribe(self, profile: QoSProfile) -> Any:
+    def _subscribe(self, profile: QoSProfile, callback: Callable[[Any, Mapping[str, Any]], None]) -> Any:
         # Our own handler keeps rclpy from logging a warning for an offer that `check` is about to follow.
         events = SubscriptionEventCallbacks(incompatible_qos=lambda _event: None)
-        return self._node.create_subscription(self._type, self.topic, self._receive, profile, event_callbacks=events)
+        return self._node.create_subscription(self._type, self.topic, callback, profile, event_callbacks=events)
+
+    def _collect(self, msg: Any, info: Mapping[str, Any]) -> None:
+        if int(info.get("source_timestamp") or 0) >= self._last_sent:
+            self._receive(msg, info)
 
     def _receive(self, msg: Any, info: Mapping[str, Any]) -> None:
         sent = int(info.get("source_timestamp") or 0)
