@@ -18,7 +18,7 @@ from std_msgs.msg import String
 from lime_planner.errors import ParameterError
 from lime_planner.parameters import NODE_PARAMETERS, PARAMETERS
 from lime_planner.ros import qos
-from lime_planner.ros.params import NodeParameters, NodeSettings, snapshot_from
+from lime_planner.ros.params import NodeParameters, NodeSettings, check_names, snapshot_from
 
 pytestmark = pytest.mark.alone
 
@@ -69,6 +69,17 @@ def test_start_values_are_checked_and_converted(context: rclpy.Context) -> None:
         with pytest.raises(ParameterError, match=bad.name):
             NodeParameters(node)
         node.destroy_node()
+
+
+def test_a_misspelt_name_is_refused_and_a_foreign_one_is_told(context: rclpy.Context) -> None:
+    for slip, meant in (("motion_enable", "motion_enabled"), ("floor_z", "floor_z_m"), ("stem_margin", "stem_margin_m")):
+        node = Node("parameters", context=context, parameter_overrides=[Parameter(slip, value=0.0)])
+        with pytest.raises(ParameterError, match=f"no parameter '{slip}'; did you mean {meant}"):
+            NodeParameters(node)
+        node.destroy_node()
+    own = ["use_sim_time", "start_type_description_service", "qos_overrides./clock.subscription.depth", "seed"]
+    assert check_names(own) == []
+    assert check_names([*own, "camera.rate"]) == ["there is no parameter 'camera.rate'; its value is ignored"]
 
 
 @pytest.mark.parametrize(
@@ -207,6 +218,45 @@ def test_every_publisher_is_heard_once(context: rclpy.Context, monkeypatch: pyte
         subscription.check()
         spin(0.2)
     assert heard.count("late") == 1
+    executor.shutdown()
+    node.destroy_node()
+
+
+def test_a_new_publisher_does_not_bring_old_messages_back(context: rclpy.Context, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(qos, "COLLECTING_S", 0.5)
+    node, executor = Node("listener", context=context), SingleThreadedExecutor(context=context)
+    executor.add_node(node)
+    heard: list[str] = []
+    subscription = qos.AdaptiveSubscription(node, String, "target", offer(RELIABLE, VOLATILE), lambda msg: heard.append(msg.data))
+
+    def spin(duration_s: float) -> None:
+        deadline = time.monotonic() + duration_s
+        while time.monotonic() < deadline:
+            executor.spin_once(0.02)
+            subscription.check()
+
+    def until(word: str) -> None:
+        deadline = time.monotonic() + 5.0
+        while word not in heard and time.monotonic() < deadline:
+            spin(0.05)
+        assert word in heard
+
+    hand = node.create_publisher(String, "target", offer(RELIABLE, LATCHED))
+    hand.publish(String(data="old"))
+    until("old")
+    spin(1.0)
+    detector = node.create_publisher(String, "target", offer(RELIABLE, VOLATILE))
+    for number in range(20):  # more than are remembered one by one
+        detector.publish(String(data=f"lime {number}"))
+        spin(0.03)
+    until("lime 19")
+    silent = node.create_publisher(String, "target", offer(RELIABLE, LATCHED))
+    spin(1.0)
+    assert subscription._collected, "it was collected from"
+    assert heard[-1] == "lime 19" and heard.count("old") == 1
+    silent.publish(String(data="new"))
+    until("new")
+    assert heard[-1] == "new"
     executor.shutdown()
     node.destroy_node()
 
