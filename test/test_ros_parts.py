@@ -116,6 +116,47 @@ def test_descriptions_are_taken_in_between_plans_only() -> None:
     assert engine.close()
 
 
+def test_the_same_description_again_changes_nothing() -> None:
+    log = Log()
+    engine = log.engine(build, "topic")
+
+    def taken(count: int) -> None:
+        deadline = time.monotonic() + 60.0
+        while len(log.models) < count and time.monotonic() < deadline:
+            time.sleep(0.01)
+        with engine.use(60.0, never):
+            assert [model.robot.name for model in log.models] == ["one", "two", "one"][:count]
+
+    engine.offer("one")
+    taken(1)
+    for _ in range(3):  # the publisher was restarted
+        engine.offer("one")
+    time.sleep(0.2)
+    taken(1)
+    engine.offer("two")
+    taken(2)
+    engine.offer("one")
+    taken(3)
+    assert engine.close()
+
+
+def test_a_description_that_failed_may_be_offered_again() -> None:
+    log = Log()
+    there = []
+
+    def builder(settings: Any, urdf: str | None) -> Loaded:
+        return build(settings, urdf if there else "bad")
+
+    engine = log.engine(builder, "topic")
+    engine.offer("one")
+    assert refusal_of(engine, 60.0)[0] is Status.BAD_INPUT
+    there.append("its meshes")
+    engine.offer("one")
+    with engine.use(60.0, never) as loaded:
+        assert loaded.robot.name == "one"
+    assert engine.close()
+
+
 def test_a_bad_description_leaves_the_good_model() -> None:
     log = Log()
     engine = log.engine(build, "topic")
