@@ -174,6 +174,43 @@ def test_markers_are_drawn_only_while_somebody_subscribes() -> None:
     assert warnings == []
 
 
+def test_the_desk_closes_at_once_while_it_draws() -> None:
+    publisher, drawing, go_on = Watched(), threading.Event(), threading.Event()
+    publisher.subscribers = 1
+
+    def publish(msg: object) -> None:
+        drawing.set()
+        go_on.wait(5.0)
+
+    publisher.publish = publish  # type: ignore[method-assign]
+    desk = MarkerDesk(publisher, lambda: None, lambda: False, Time, lambda text: None)
+    desk.show(plan_of(3))
+    assert drawing.wait(5.0)
+    threading.Timer(0.2, go_on.set).start()
+    began_s = time.monotonic()
+    assert desk.close()
+    assert time.monotonic() - began_s < 1.0
+
+
+def test_a_plan_that_comes_while_another_is_drawn_is_drawn_next() -> None:
+    publisher, drawing, go_on, drawn = Watched(), threading.Event(), threading.Event(), threading.Semaphore(0)
+    publisher.subscribers = 1
+
+    def publish(msg: object) -> None:
+        drawing.set()
+        go_on.wait(5.0)
+        drawn.release()
+
+    publisher.publish = publish  # type: ignore[method-assign]
+    desk = MarkerDesk(publisher, lambda: None, lambda: False, Time, lambda text: None)
+    desk.show(plan_of(3))
+    assert drawing.wait(5.0)
+    desk.show(plan_of(4))
+    go_on.set()
+    assert drawn.acquire(timeout=5.0) and drawn.acquire(timeout=5.0), "without another check"
+    assert desk.close()
+
+
 def test_a_picture_that_fails_is_a_warning() -> None:
     publisher, warned = Watched(), threading.Event()
     publisher.subscribers = 1
