@@ -187,6 +187,7 @@ ROWS = (
     Row(B, "has labels between the classes", labelled(lambda: some(label=np.full(50, 0.5, np.float32))), words="labelled_cloud"),
     Row(B, "has NaN as labels", labelled(lambda: some(label=np.full(50, NAN, np.float32))), words="labelled_cloud"),
     Row(B, "holds leaves alone", labelled(lambda: some(label=np.zeros(50, np.uint8))), NONE, "no stem point"),
+    Row(B, "holds leaves and fruit alone", labelled(lambda: some(label=np.repeat([0, 2], 25).astype(np.uint8))), NONE, "no stem point"),
     Row(B, "holds an unknown class (hard as a stem)", labelled(lambda: some(label=np.full(50, 9, np.int32))), OK),
     Row("grasp_target", "never came", lambda rig: rig.forget("grasp_target"), "NO_TARGET", "no grasp target"),
     Row("grasp_target", "has a position that is NaN", target([NAN, *GOOD[1:]]), words="not finite"),

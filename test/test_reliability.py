@@ -5,11 +5,15 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Iterator
+from typing import Any
 
 import pytest
 from reliability_rig import Rig, line, masked, rig, written
 from reliability_rows import GOOD, ROWS, Row, fields, some
 from ros_fakes import cloud
+
+from lime_planner.ros.worker import Answer
+from lime_planner.status import Status
 
 pytestmark = pytest.mark.alone
 
@@ -40,6 +44,23 @@ def test_a_failed_preview_leaves_nothing_to_execute(node: Rig) -> None:
     assert node.bench.call("preview").success
     assert not node.bench.call("preview_to", node.goal([math.nan, *GOOD[1:]], "base")).plan.poses
     assert node.bench.call("execute").message.startswith("NOTHING_TO_EXECUTE: ")
+
+
+def test_a_preview_that_was_answered_otherwise_is_not_carried_out(node: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A stop, a newer request or the deadline, in the moment between the plan and its answer."""
+    node.good()
+    requests, worker = node.node.requests, node.node.worker
+    show = requests.show
+
+    def stopped_then(shown: Any) -> None:
+        show(shown)
+        assert worker.current.take_away(Answer(Status.CANCELLED, "in between"))
+
+    monkeypatch.setattr(requests, "show", stopped_then)
+    assert node.bench.call("preview").message.startswith("CANCELLED: in between")
+    monkeypatch.undo()
+    assert node.bench.call("execute").message.startswith("NOTHING_TO_EXECUTE: ")
+    assert node.bench.call("preview").success
 
 
 def test_the_counts_add_up(node: Rig) -> None:

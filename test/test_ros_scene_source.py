@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+import threading
+import time
 
 import numpy as np
 import pytest
@@ -72,6 +74,35 @@ def test_the_watch_looks_at_stems_alone(inputs: Inputs) -> None:
     assert made.scene(snapshot_from({}), never) is whole
 
 
+def test_the_watch_waits_for_where_a_moving_arm_stood(inputs: Inputs) -> None:
+    asked: list[float] = []
+
+    def note(scene: Scene, q: np.ndarray | None, padding: float) -> Scene:
+        assert q is not None
+        asked.append(float(q[0]))
+        return scene
+
+    def move(stamp_s: float) -> None:
+        inputs.on_joint_state(stamped(JointState(name=list(JOINTS), position=[stamp_s - NOW_S, 0.0, 0.0]), stamp_s))
+
+    made = SceneSource(inputs, StaticFrames(), "base", note)
+    move(NOW_S)
+    inputs.on_cloud("stem_cloud", stamped(cloud(5), NOW_S + 0.05))
+    began_s = time.monotonic()
+    made.stems(snapshot_from({}), never, 0.1)
+    assert 0.09 < time.monotonic() - began_s < 0.5
+    assert asked == [0.0], "a guess, after the wait"
+    inputs.on_cloud("stem_cloud", stamped(cloud(5), NOW_S + 0.05))
+    later = threading.Timer(0.1, move, (NOW_S + 0.1,))
+    later.start()
+    made.stems(snapshot_from({}), never, 5.0)
+    later.join()
+    assert asked[1:] == [pytest.approx(0.05)]
+    began_s = time.monotonic()
+    made.stems(snapshot_from({}), never, 5.0)
+    assert time.monotonic() - began_s < 0.1, "known by now"
+
+
 def test_no_or_empty_stems_permit_nothing_unless_allowed(inputs: Inputs) -> None:
     made, allowed = source(inputs), snapshot_from({"allow_empty_stem_cloud": True})
     assert refusal_of(lambda: made.scene(snapshot_from({}), never))[0] is Status.NO_CLOUD
@@ -85,6 +116,11 @@ def test_no_or_empty_stems_permit_nothing_unless_allowed(inputs: Inputs) -> None
     assert status is Status.NO_CLOUD
     assert "no stem point among the 10 points" in sentence
     assert len(made.scene(allowed, never).leaf_points) == 10
+    inputs.on_cloud("labelled_cloud", cloud(8, label=np.array([0, 0, 0, 0, 0, 2, 2, 2], np.uint8)))
+    status, sentence = refusal_of(lambda: made.scene(snapshot_from({}), never))
+    assert status is Status.NO_CLOUD, "the lime itself is no stem"
+    assert len(made.scene(allowed, never).fruit_points) == 3
+    inputs.on_cloud("leaf_cloud", cloud(10))
     lost = cloud(4)
     lost.data = type(lost.data)("B", np.full(12, np.nan, np.float32).tobytes())
     inputs.on_cloud("stem_cloud", lost)

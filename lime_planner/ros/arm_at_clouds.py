@@ -97,6 +97,12 @@ class ArmAtClouds:
             noted = self._noted.get(name, {}).get(number)
         return None if noted is None else noted.q
 
+    def settled(self, name: str, number: int) -> bool:
+        """Tell whether nothing better will be known about where the arm stood; a moving arm's place is a guess before."""
+        with self._lock:
+            noted = self._noted.get(name, {}).get(number)
+        return noted is None or noted.settled
+
     def _look(self, noted: _Noted) -> _Noted:
         newest = self._joints.newest
         if newest is None:

@@ -127,9 +127,9 @@ class JointHistory:
         return state
 
     def at(self, stamp_s: float) -> Array | None:
-        """Return the configuration at a stamp in ROS time (n,) [rad], interpolated; None where the history does not reach.
+        """Return the configuration at a stamp in ROS time (n,) [rad], interpolated; None where the history does not reach back.
 
-        A stamp of zero means now.
+        A stamp of zero means now; for one that is newer than the newest state, that state is the best guess.
         """
         with self._condition:
             states = [state for state in self._states if state.stamp_s > 0.0] if stamp_s > 0.0 else []

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
@@ -93,15 +94,26 @@ class SceneSource:
         _refuse_emptiness(("the stem cloud that came while planning",), scene, snapshot.node)
         return scene
 
-    def stems(self, snapshot: Snapshot, should_stop: Callable[[], bool]) -> Scene:
+    def stems(self, snapshot: Snapshot, should_stop: Callable[[], bool], settle_s: float = 0.0) -> Scene:
         """Return the scene of the newest stems alone, for the watch over a motion; the leaf cloud is left for the next plan.
+
+        Args:
+            snapshot: the parameters.
+            should_stop: ends a wait early.
+            settle_s: how long to wait at most for the joint states that tell where a moving arm stood at the cloud's stamp [s]; before
+                that its own points would be looked for in a wrong place.
 
         Raises:
             Refusal: see `scene`.
         """
+        samples = self._samples(snapshot.node)
+        samples.pop("leaf_cloud", None)
+        deadline_s = time.monotonic() + settle_s
+        while not all(self._inputs.arm_at_clouds.settled(name, sample.number) for name, sample in samples.items()):
+            if time.monotonic() >= deadline_s or should_stop():
+                break
+            time.sleep(0.005)
         with self._lock:
-            samples = self._samples(snapshot.node)
-            samples.pop("leaf_cloud", None)
             scene = self._scene(samples, snapshot, should_stop)
             for name, sample in samples.items():
                 self._inputs.slots[name].use(sample)

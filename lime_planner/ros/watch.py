@@ -19,6 +19,9 @@ from lime_planner.status import Status
 #: Pause after each look [s]: clouds come faster than they need be looked at, and callbacks want the interpreter too.
 _PAUSE_S = 0.05
 
+#: How long a look waits for the joint states of a cloud's stamp [s]: Kinova's driver sends ten a second, some of them late.
+_SETTLE_S = 0.15
+
 #: What looks: (motion, should_stop) -> a sentence when the way is blocked, else None. May raise `Refusal`.
 Look = Callable[[Motion, Callable[[], bool]], str | None]
 
@@ -89,7 +92,7 @@ def make_look(source: Callable[[], Any], engine: Callable[[], Any], reached_s: C
         loaded = engine()
         if loaded is None:
             return None
-        scene = source().stems(motion.snapshot, should_stop)
+        scene = source().stems(motion.snapshot, should_stop, _SETTLE_S)
         sentence: str | None = loaded.pipeline.obstruction(
             motion.result, scene, motion.snapshot.plan, from_time_s=reached_s(motion), should_stop=should_stop
         )
