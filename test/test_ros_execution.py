@@ -41,7 +41,7 @@ class Rig:
         self.stopped: list[Motion] = []
         self.subscribers = 1
         self.allowed = True
-        self.pace = 1.0  # of the controller's clock
+        self.simulated: Callable[[], float | None] = lambda: None
         self.execution = Execution(
             self.joints,
             lambda trajectory: trajectory,
@@ -51,11 +51,8 @@ class Rig:
             self.stopped.append,
             self.ended.append,
             lambda: self.allowed,
-            self.clock,
+            lambda: self.simulated(),
         )
-
-    def clock(self) -> float:
-        return self.pace * time.monotonic()
 
     def state(self, q: np.ndarray) -> None:
         state = ArmState(np.array(q, dtype=float), time.monotonic(), 0.0, 0.0)
@@ -219,13 +216,14 @@ def test_a_motion_of_unknown_origin_is_held_on_request_only(rig: Rig) -> None:
     assert len(rig.sent[0]) == 1
 
 
-def test_the_best_fit_allows_for_lag() -> None:
+def test_the_best_fit_is_looked_for_where_the_arm_may_be() -> None:
     planned = trajectory(np.zeros(3), np.array([1.0, 0.5, 0.0]), 1.0)
-    moment_s, off = best_fit(planned, planned.sample(0.3), 0.5, 0.3)
+    moment_s, off = best_fit(planned, planned.sample(0.3), 0.2, 0.5)
     assert moment_s == pytest.approx(0.3, abs=0.003) and np.abs(off).max() < 0.005
-    moment_s, off = best_fit(planned, planned.sample(0.5) + np.array([0.0, 0.2, 0.0]), 0.5, 0.0)
+    moment_s, off = best_fit(planned, planned.sample(0.5) + np.array([0.0, 0.2, 0.0]), 0.5, 0.5)
     assert moment_s == 0.5 and off == pytest.approx([0.0, 0.2, 0.0])
-    assert best_fit(planned, planned.sample(0.0), -0.1, 0.3)[0] == 0.0
+    assert best_fit(planned, planned.sample(0.0), -0.4, -0.1)[0] == 0.0
+    assert best_fit(planned, planned.sample(0.9), 0.0, 1e9)[0] == pytest.approx(0.9, abs=0.003)
 
 
 def test_braking_begins_where_the_arm_is_not_where_the_clock_has_it(rig: Rig) -> None:
@@ -255,7 +253,7 @@ def test_a_stop_asks_no_speed_of_the_arm_that_it_has_not(pace: float, lag_s: flo
         wanted = plan.sample(pace * moments)
         q = np.array(wanted) if lag_s == 0.0 else lfilter([step_s / lag_s], [1.0, step_s / lag_s - 1.0], wanted, axis=0)
         speed = (q[-1] - q[-2]) / step_s
-        motion = Motion(1, None, plan, 0.0, snapshot_from({"controller": "jtc"}), clock=lambda at_s=at_s: at_s)
+        motion = Motion(1, None, plan, time.monotonic() - at_s, snapshot_from({"controller": "jtc"}))
         stop = make_stop(robot, motion, ArmState(q[-1], time.monotonic(), 0.0, 0.0), True)
         assert stop is not None
         command = Command.from_trajectory(stop)
@@ -288,13 +286,27 @@ def test_an_arm_beside_its_path_is_led_back_before_it_brakes_or_held(rig: Rig) -
 
 
 @pytest.mark.parametrize("pace", [0.5, 1.5])
-def test_a_motion_is_watched_by_the_clock_of_its_controller(rig: Rig, pace: float) -> None:
-    rig.pace = pace
+def test_a_motion_may_go_by_simulated_time(rig: Rig, pace: float) -> None:
+    rig.simulated = lambda: 1000.0 + pace * time.monotonic()
     motion = rig.send(1.0, execution_tolerance_rad=0.02)
     assert motion is not None
     rig.play(lambda t: motion.trajectory.sample(pace * t), 1.2 / pace)
     assert [ended.status for ended in rig.ended] == [Status.SUCCEEDED]
     assert len(rig.sent) == 1
+
+
+@pytest.mark.parametrize("clock", [lambda: 0.0, lambda: -time.monotonic(), lambda: 2.0 * time.monotonic()])
+def test_a_motion_may_go_by_real_time_whatever_the_simulated_clock_does(rig: Rig, clock: Callable[[], float]) -> None:
+    rig.simulated = clock
+    motion = rig.send(1.0, execution_tolerance_rad=0.02)
+    assert motion is not None
+    rig.play(motion.trajectory.sample, 1.2)
+    assert [ended.status for ended in rig.ended] == [Status.SUCCEEDED]
+    rig.rest(motion.trajectory.positions[-1])
+    back = result(motion.trajectory.positions[-1], START, 1.0)
+    assert rig.execution.send(8, back, back.trajectory, snapshot(execution_tolerance_rad=0.02), lambda: True) is not None
+    rig.play(lambda t: back.trajectory.sample(min(t, 0.3)), 1.6)  # it stalls
+    assert rig.ended[-1].status is Status.EXECUTION_DEVIATED
 
 
 def test_stopping_again_holds_an_arm_that_goes_on(rig: Rig) -> None:

@@ -64,7 +64,7 @@ class Execution:
         on_stop: Callable[[Motion], None],
         on_end: Callable[[Ended], None],
         may_move: Callable[[], bool],
-        clock: Callable[[], float] = time.monotonic,
+        simulated: Callable[[], float | None] = lambda: None,
     ) -> None:
         """Make an execution at rest.
 
@@ -77,7 +77,7 @@ class Execution:
             on_stop: is told about each motion that is being stopped.
             on_end: is told about each motion's end, once, from whichever thread notices.
             may_move: whether motions are allowed now, whatever was allowed when the plan was asked for.
-            clock: the time that the controller goes by [s].
+            simulated: a simulation's time now [s], None without one.
         """
         self._joints = joints
         self._prepare = prepare
@@ -87,7 +87,7 @@ class Execution:
         self._on_stop = on_stop
         self._on_end = on_end
         self._may_move = may_move
-        self._clock = clock
+        self._simulated = simulated
         self._lock = threading.RLock()
         self._motion: Motion | None = None
         self._stopping: _Stop | None = None
@@ -160,7 +160,8 @@ class Execution:
             if not commit():
                 return None
             self._publish(message)
-            self._motion = self._last = Motion(plan_id, result, trajectory, self._clock(), snapshot, clock=self._clock, **more)
+            more |= {"simulated": self._simulated, "simulated_start_s": self._simulated()}
+            self._motion = self._last = Motion(plan_id, result, trajectory, time.monotonic(), snapshot, **more)
             self._restless = None
             return self._motion
 
@@ -237,7 +238,7 @@ class Execution:
     def reached_s(self, motion: Motion) -> float:
         """Return how far on a motion's plan the arm was when it was measured last [s]; it is not behind that now."""
         state = self._joints.newest
-        return max(motion.elapsed_s() - motion.snapshot.node.execution_lag_s, 0.0) if state is None else motion.fit(state)[0]
+        return max(motion.span_s()[0] - motion.snapshot.node.execution_lag_s, 0.0) if state is None else motion.fit(state)[0]
 
     def on_state(self, state: ArmState) -> None:
         """Compare a new measurement with the plan."""
@@ -290,14 +291,15 @@ class Execution:
             sentence = f"the joint states fell silent for {silent_s:.2f} s during the motion, the limit is {limit_s:g} s"
             self.stop(Status.STALE_INPUT, sentence)
             return None
-        late_s = motion.elapsed_s() - motion.trajectory.duration_s
-        if late_s < 0.0 or state is None:
+        least_s, most_s = motion.span_s()
+        if most_s < motion.trajectory.duration_s or state is None:
             return None
         off = float(np.abs(state.q - motion.trajectory.positions[-1]).max())
         if off <= node.goal_tolerance_rad and self._joints.still(node.stillness_time_s, node.stillness_rad):
             self._motion = None
             sentence = f"the arm rests {off:.4f} rad from the planned end after {motion.elapsed_s():.2f} s"
             return Ended(motion, Status.SUCCEEDED, sentence, self.cancels)
+        late_s = least_s - motion.trajectory.duration_s
         if late_s > node.goal_time_s:
             self.stop(
                 Status.EXECUTION_DEVIATED,

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import os
 import sys
-import time
 import traceback
 from collections.abc import Callable
 from functools import partial
@@ -93,7 +92,7 @@ class PlannerNode(Node):
             lambda motion: self.board.show(motion.plan_id, Phase.STOPPING),
             self._on_end,
             lambda: self.params.snapshot.node.motion_enabled,
-            self._controller_time_s,
+            self._simulated_s,
         )
         self.worker = Worker(self.get_logger().error, give_back)
         self.engine = Engine(
@@ -240,9 +239,8 @@ class PlannerNode(Node):
     def _now(self) -> Time:
         return self.get_clock().now().to_msg()
 
-    def _controller_time_s(self) -> float:
-        """A simulation's controller goes by its clock; any other one by real time, which nobody sets back."""
-        return self._ros_now_s() if self.get_clock().ros_time_is_active else time.monotonic()
+    def _simulated_s(self) -> float | None:
+        return self._ros_now_s() if self.get_clock().ros_time_is_active else None
 
     def _ros_now_s(self) -> float:
         return float(self.get_clock().now().nanoseconds) * 1e-9

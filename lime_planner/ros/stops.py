@@ -43,7 +43,7 @@ def make_stop(robot: Any, motion: Motion | None, state: ArmState | None, on_path
     if state is None:
         return braking(trajectory, max(elapsed_s, 0.0), robot.acceleration_limits)
     fitting_s, off = motion.fit(state)
-    reached_s = max(min(fitting_s + state.age_s(time.monotonic()), elapsed_s), 0.0)
+    reached_s = max(min(fitting_s + state.age_s(time.monotonic()), motion.span_s()[1]), 0.0)
     lead_s = _lead_s(np.abs(off), robot.velocity_limits, trajectory.dt_s)
     if lead_s > _LONGEST_LEAD_S:
         moved = trajectory.sample(reached_s) - trajectory.sample(fitting_s)  # since the measurement
