@@ -27,6 +27,7 @@ examples:
   lime-planner record now.npz && lime-planner plan now.npz --picture now.png
   lime-planner record now.npz --params config/kinova_j2s6s200.yaml \\
       --joint-states /j2s6s200_driver/out/joint_state
+  lime-planner plan now.npz --set planning_frame=j2s6s200_link_base
   lime-planner record then.npz --bag rosbag2_2026_05_04 --at 12.5
 """
 

@@ -26,6 +26,7 @@ from ros_harness import ROOT, Program, program
 from soak_cases import CALM
 from soak_steps import SoakBench, Steps
 
+from lime_planner.poses import matrix_to_pose
 from lime_planner.robot.model import Robot, home, load_robot
 
 GROWTH_MB = 20.0
@@ -132,7 +133,10 @@ def soak(
     arguments = ["--ros-args", "-p", f"robot:={robot}", "-p", f"controller:={controller}"]
     listed = "[" + ", ".join(f"{value:.6f}" for value in start) + "]"
     settings = ["--params-file", str(ROOT / "config" / f"{robot}.yaml")] if controller == "kinova" else []
-    own = {"motion_enabled": "true", "velocity_scaling": 1.0, "acceleration_scaling": 1.0, "max_cloud_age_s": 0.0, "max_target_age_s": 0.0}
+    own: dict[str, Any] = {"motion_enabled": "true", "velocity_scaling": 1.0, "acceleration_scaling": 1.0}
+    own |= {"max_cloud_age_s": 0.0, "max_target_age_s": 0.0}
+    if controller == "kinova":  # plans in the driver's frame; scene, targets and judge stay in the model's root
+        own["static_transforms"] = f'["{robot.removeprefix("kinova_")}_link_base base {_root_in_the_drivers_base(model)}"]'
     # With the node's name: a plain -p gives way to a file that names the node.
     more = [word for name, value in own.items() for word in ("-p", f"lime_planner:{name}:={value}")]
     with ExitStack() as stack:
@@ -149,6 +153,13 @@ def soak(
             if log is not None:
                 log.write_text(planner.output)
             bench.close()
+
+
+def _root_in_the_drivers_base(model: Robot) -> str:
+    """Return x y z qx qy qz qw of a built-in model's root in the frame in which the real arm's configuration plans."""
+    at_base = load_robot(model.name, planning_frame=f"{model.name.removeprefix('kinova_')}_link_base")
+    T_base_root = at_base.forward(home(model)) @ np.linalg.inv(model.forward(home(model)))
+    return " ".join(f"{value:.9f}" for value in matrix_to_pose(T_base_root))
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 
 from lime_planner.errors import RobotError
 from lime_planner.robot.builtin import BUILTIN_ARMS, TOOL_RPY
@@ -65,6 +66,68 @@ def test_built_in_arms(name: str) -> None:
     assert ((tips - poses[6, :3, 3]) @ T_base_tool[:3, 2]).min() > 0.12
     assert robot.within_limits(home(robot))
     assert np.isfinite(robot.forward(home(robot))).all()
+
+
+def turned(rpy: tuple[float, float, float]) -> np.ndarray:
+    """The rotation of a URDF's rpy [rad], (3, 3)."""
+    (cr, cp, cy), (sr, sp, sy) = np.cos(rpy), np.sin(rpy)
+    about_x = np.array([[1, 0, 0], [0, cr, -sr], [0, sr, cr]])
+    about_y = np.array([[cp, 0, sp], [0, 1, 0], [-sp, 0, cp]])
+    about_z = np.array([[cy, -sy, 0], [sy, cy, 0], [0, 0, 1]])
+    return about_z @ about_y @ about_x
+
+
+def placed(xyz: tuple[float, float, float], rpy: tuple[float, float, float]) -> np.ndarray:
+    """The pose of a URDF's origin, (4, 4)."""
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = turned(rpy), xyz
+    return T
+
+
+#: The driver's own description, `<name>_link_base` to link 6 and on to the tool: xyz [m] and rpy [rad] of every joint, each about +z.
+ARM = [
+    ((0, 0, 0.15675), (0, np.pi, 0)),
+    ((0, 0.0016, -0.11875), (-np.pi / 2, 0, np.pi)),
+    ((0, -0.410, 0), (0, np.pi, 0)),
+    ((0, 0.2073, -0.0114), (-np.pi / 2, 0, np.pi)),
+]
+WRISTS = {
+    "j2s6s200": [((0, 0, -0.10375), (np.pi / 2, 0, np.pi)), ((0, 0.10375, 0), (-np.pi / 2, 0, np.pi))],
+    "j2n6s300": [((0, -0.03703, -0.06414), (np.pi / 3, 0, np.pi))] * 2,
+}
+TOOL = ((0, 0, -0.1600), (np.pi, 0, np.pi / 2))
+
+
+@pytest.mark.parametrize("model", list(WRISTS))
+def test_the_real_arms_configuration_plans_in_the_drivers_frame(model: str) -> None:
+    """The driver's TF begins at the arm's own base, and there the tool is where the driver has it."""
+    text = (Path(__file__).resolve().parent.parent / "config" / f"kinova_{model}.yaml").read_text(encoding="utf-8")
+    values = yaml.safe_load(text)["/**/lime_planner"]["ros__parameters"]
+    assert values["planning_frame"] == f"{model}_link_base"
+    robot = load_robot(values["robot"], joint_names=values["arm_joints"], planning_frame=values["planning_frame"])
+    assert robot.planning_frame == f"{model}_link_base"
+    for q in (home(robot), *np.random.default_rng(0).uniform(-np.pi, np.pi, (5, 6))):
+        T_base_tool = np.eye(4)
+        for (xyz, rpy), angle in zip(ARM + WRISTS[model], q, strict=True):
+            T_base_tool = T_base_tool @ placed(xyz, rpy) @ placed((0, 0, 0), (0, 0, angle))
+        np.testing.assert_allclose(robot.forward(q), T_base_tool @ placed(*TOOL), atol=1e-9)
+    assert robot.forward(home(robot))[1, 3] < -0.2  # the hand is on the side of -y, away from the plugs
+
+
+@pytest.mark.parametrize(("model", "yaw_rad"), [("j2s6s200", np.pi / 2), ("j2n6s300", 0.0)])
+def test_the_models_root_and_the_drivers_base(model: str, yaw_rad: float) -> None:
+    """In whichever of the two frames is planned, the whole arm stands in the same place: base -> link_base is a turn, and known."""
+    at_root, at_base = load_robot(f"kinova_{model}"), load_robot(f"kinova_{model}", planning_frame=f"{model}_link_base")
+    T_root_base = placed((0, 0, 0), (0, 0, yaw_rad))
+    assert at_base.reach_m == pytest.approx(at_root.reach_m)
+    assert at_base.collision_pairs == at_root.collision_pairs
+    for q in np.random.default_rng(0).uniform(-np.pi, np.pi, (3, 6)):
+        np.testing.assert_allclose(at_root.forward(q), T_root_base @ at_base.forward(q), atol=1e-9)
+        for a, b in zip(at_root.links, at_base.links, strict=True):
+            T_root_link, T_base_link = at_root.link_poses(q)[a.joint], at_base.link_poses(q)[b.joint]
+            in_root = a.vertices @ T_root_link[:3, :3].T + T_root_link[:3, 3]
+            in_base = b.vertices @ T_base_link[:3, :3].T + T_base_link[:3, 3]
+            np.testing.assert_allclose(in_root, in_base @ T_root_base[:3, :3].T, atol=1e-9, err_msg=a.name)
 
 
 @pytest.mark.parametrize("name", list(BUILTIN_ARMS))
