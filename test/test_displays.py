@@ -70,14 +70,27 @@ def published(nodes: list[Node]) -> dict[str, tuple[str, QoSProfile]]:
     return found
 
 
-def rviz_displays() -> list[dict[str, Any]]:
-    content = yaml.safe_load((ROOT / "rviz" / "lime_planner.rviz").read_text())
-    return [display for display in content["Visualization Manager"]["Displays"] if "Topic" in display]
+#: Beside the simulated arm, and beside a real Kinova.
+RVIZ_FILES = ("lime_planner.rviz", "kinova.rviz")
 
 
-def test_rviz_displays_what_is_published(nodes: list[Node]) -> None:
+def rviz(name: str) -> dict[str, Any]:
+    content: dict[str, Any] = yaml.safe_load((ROOT / "rviz" / name).read_text())["Visualization Manager"]
+    return content
+
+
+def rviz_displays(name: str = "lime_planner.rviz") -> list[dict[str, Any]]:
+    return [display for display in rviz(name)["Displays"] if "Topic" in display]
+
+
+def test_there_are_no_other_rviz_files() -> None:
+    assert {path.name for path in (ROOT / "rviz").iterdir()} == set(RVIZ_FILES)
+
+
+@pytest.mark.parametrize("name", RVIZ_FILES)
+def test_rviz_displays_what_is_published(nodes: list[Node], name: str) -> None:
     there = published(nodes)
-    displays = rviz_displays()
+    displays = rviz_displays(name)
     assert len(displays) == 5
     for display in displays:
         topic = display["Topic"]
@@ -94,6 +107,19 @@ def test_rviz_displays_what_is_published(nodes: list[Node]) -> None:
         if kind == RVIZ_TYPES["PointCloud2"]:
             camera = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT, durability=DurabilityPolicy.VOLATILE)
             assert qos_check_compatible(camera, wanted)[0] != QoSCompatibility.ERROR
+
+
+def test_beside_a_real_kinova_rviz_shows_its_arm_in_its_frame() -> None:
+    """The driver's TF is world, root, <name>_link_base and on; its robot_state_publisher latches the description."""
+    simulated, real = rviz("lime_planner.rviz"), rviz("kinova.rviz")
+    assert simulated["Global Options"]["Fixed Frame"] == "base"
+    assert real["Global Options"]["Fixed Frame"] == "root"
+    [arm] = [display for display in real["Displays"] if display["Class"] == "rviz_default_plugins/RobotModel"]
+    assert arm["Enabled"] and arm["Visual Enabled"] and arm["TF Prefix"] == "" and arm["Description Source"] == "Topic"
+    assert arm["Description Topic"]["Value"] == "/robot_description"
+    assert arm["Description Topic"]["Durability Policy"] == "Transient Local"
+    assert arm["Description Topic"]["Reliability Policy"] == "Reliable"
+    assert [display for display in real["Displays"] if display is not arm] == simulated["Displays"]
 
 
 def panels_of(layout: Any) -> set[str]:
