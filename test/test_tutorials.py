@@ -23,6 +23,7 @@ import xml.etree.ElementTree as ET
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
 import pytest
 import yaml
 
@@ -189,6 +190,60 @@ def test_parameter_files_of_the_pages_are_accepted() -> None:
         snapshot = snapshot_from(yaml.safe_load(block.text)["/**/lime_planner"]["ros__parameters"])
         assert snapshot.node.motion_enabled is False, block.where
     assert files
+
+
+def test_no_block_forbids_motion_while_one_runs() -> None:
+    """Services that move the arm answer when the motion is sent, and forbidding motion stops it: the reader waits in between."""
+    moving = 0
+    for block in [block for page in PAGES for block in blocks_of(page) if block.language == "bash"]:
+        may_move = False
+        for line in block.text.splitlines():
+            if re.search(r"(lime_planner/|call\.py )(plan|execute|retreat)\b(?! \|\|)", line):
+                may_move, moving = True, moving + 1
+            elif re.search(r"(lime_planner/|call\.py )stop\b", line):
+                may_move = False
+            assert not (may_move and re.search(r"motion_enabled false", line)), f"{block.where}: {line}"
+    assert moving >= 3
+
+
+def test_the_kinova_pages_target_is_in_the_arms_frame_and_within_reach() -> None:
+    """What readers paste: published again and again, for it ages, and where the arm can go by the page's own parameters."""
+    from lime_planner.poses import pose_to_matrix
+    from lime_planner.robot.ik import solve_ik
+    from lime_planner.robot.model import load_robot
+    from lime_planner.ros.params import snapshot_from
+
+    blocks = blocks_of(ROOT / "docs" / "tutorials" / "real-kinova.md")
+    [published] = [block.text for block in blocks if "topic pub" in block.text]
+    assert "ros2 topic pub -r 1 /grasp_target geometry_msgs/msg/PoseStamped" in published
+    msg = yaml.safe_load(re.search(r'"(\{.*\})"', published, flags=re.DOTALL)[1])  # type: ignore[index]
+    [file] = [block.text for block in blocks if block.title == "my_arm.yaml"]
+    values = yaml.safe_load(file)["/**/lime_planner"]["ros__parameters"]
+    settings = snapshot_from(values).plan
+    assert msg["header"]["frame_id"] == settings.planning_frame == "j2s6s200_link_base"
+    position, turn = ([msg["pose"][key].get(name, 0.0) for name in names] for key, names in (("position", "xyz"), ("orientation", "xyzw")))
+    low, high = settings.workspace_box[:3], settings.workspace_box[3:]
+    assert all(a < p < b for a, p, b in zip(low, position, high, strict=True))
+    for model in ("j2s6s200", "j2n6s300"):
+        robot = load_robot(f"kinova_{model}", planning_frame=f"{model}_link_base")
+        T_base_tool = pose_to_matrix([*position, *turn])
+        assert T_base_tool[1, 2] < -0.999  # the palm looks ahead
+        assert len(solve_ik(robot, T_base_tool, robot.home, np.random.default_rng(0)).solutions), model
+        home = robot.forward(robot.home)[:3, 3]
+        assert all(a < p < b for a, p, b in zip(low, home, high, strict=True)), model
+
+
+def test_the_rehearsals_plant_stands_where_the_demos_does() -> None:
+    """The plant is in the model's root frame, the planner in the driver's: one static transform, the model's own turn, joins them."""
+    from lime_planner.robot.model import load_robot
+    from lime_planner.ros.frames import StaticFrames
+
+    [script] = [block.text for block in blocks_of(ROOT / "docs" / "tutorials" / "real-kinova.md") if block.title == "rehearse.sh"]
+    [transform] = yaml.safe_load(re.search(r"static_transforms:='(.*)'", script)[1])  # type: ignore[index]
+    T_arm_base = StaticFrames([transform]).find("j2s6s200_link_base", "base")
+    assert T_arm_base is not None
+    at_root, at_arm = load_robot("kinova_j2s6s200"), load_robot("kinova_j2s6s200", planning_frame="j2s6s200_link_base")
+    np.testing.assert_allclose(T_arm_base @ at_root.forward(at_root.home), at_arm.forward(at_arm.home), atol=1e-6)
 
 
 def test_the_kinova_page_the_launch_file_and_the_configurations_agree() -> None:
