@@ -35,6 +35,8 @@ ROSDEP_KEYS = {
     "toppra": "toppra",
     "trimesh": "python3-trimesh-pip",
 }
+#: ROS package by import name, where they differ: the package tf2_ros is C++ alone.
+ROS_PACKAGES = {"tf2_ros": "tf2_ros_py"}
 
 
 def imported_roots(folder: Path) -> set[str]:
@@ -86,7 +88,9 @@ def test_every_library_imported_is_required_and_none_else() -> None:
 def test_rosdep_keys_match() -> None:
     libraries = {ROSDEP_KEYS.get(name, f"python3-{name}") for name in requirements() - DATA_ONLY}
     used = imported_roots(ROOT / "lime_planner") | imported_roots(ROOT / "launch")
-    messages = {root for root in used if is_ros(root) and root not in {"launch", "launch_ros", "ament_index_python"}}
+    messages = {
+        ROS_PACKAGES.get(root, root) for root in used if is_ros(root) and root not in {"launch", "launch_ros", "ament_index_python"}
+    }
     assert manifest_depends() - {"launch", "launch_ros", "ros2launch", "ament_index_python"} == libraries | {"coal"} | messages
 
 
