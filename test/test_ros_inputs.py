@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 import time
 from types import SimpleNamespace
 
@@ -10,12 +11,14 @@ import numpy as np
 import pytest
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import PoseStamped
+from rclpy.clock import ClockType, ROSClock
+from rclpy.time import Time as RosTime
 from ros_fakes import JOINTS, never, refusal_of, stamped
 from sensor_msgs.msg import JointState
 
 from lime_planner.errors import ParameterError
 from lime_planner.ros.convert import to_pose
-from lime_planner.ros.frames import StaticFrames, TfFrames
+from lime_planner.ros.frames import StaticFrames, TfFrames, make_frames
 from lime_planner.ros.inputs import Inputs
 from lime_planner.ros.joints import ArmState, JointHistory
 from lime_planner.status import Status
@@ -220,3 +223,36 @@ class TestFrames:
         assert status is Status.TF_ERROR
         assert "extrapolation" in sentence
         assert frames.lookup("base", "camera", Time(sec=3), 1.0, never)[0, 3] == 1.0
+
+    def test_without_tf2_the_parameters_are_the_source(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.setitem(sys.modules, "tf2_ros", None)
+        frames = make_frames(None, ["base mast 0 0 1 0 0 0 1"])
+        assert isinstance(frames, StaticFrames)
+        assert frames.source == "static_transforms alone (1 given): tf2_ros cannot be imported"
+
+    def test_with_tf2_the_graph_sees_no_service_more(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        """tf2's buffer serves `tf2_frames` on a node that it is given, which no permission covers."""
+        cleared: list[int] = []
+        heard: list[object] = []
+
+        class Buffer:
+            def __init__(self, cache_time: object = None, node: object = None) -> None:
+                assert node is None
+
+            def clear(self) -> None:
+                cleared.append(1)
+
+        clock = ROSClock()
+        node = SimpleNamespace(get_clock=lambda: clock)
+        tf2_ros = SimpleNamespace(Buffer=Buffer, TransformListener=lambda buffer, node: heard.append((buffer, node)) or "listener")
+        monkeypatch.setitem(sys.modules, "tf2_ros", tf2_ros)
+        frames = make_frames(node, ["base mast 0 0 1 0 0 0 1"])
+        assert isinstance(frames, TfFrames)
+        assert frames.source == "static_transforms first, then tf2"
+        assert len(heard) == 1 and node.tf_listener == "listener"
+        # A recording that is played again: what it told the first time lies in its future.
+        clock._set_ros_time_is_active(True)
+        del cleared[:]
+        for second, times in ((100, 0), (101, 0), (1, 1), (2, 1)):
+            clock.set_ros_time_override(RosTime(seconds=second, clock_type=ClockType.ROS_TIME))
+            assert len(cleared) == times, second

@@ -9,6 +9,8 @@ from typing import Any, Protocol
 import numpy as np
 import numpy.typing as npt
 from builtin_interfaces.msg import Time
+from rclpy.clock import JumpThreshold
+from rclpy.duration import Duration
 from rclpy.time import Time as RosTime
 
 from lime_planner.errors import ParameterError, ProblemError
@@ -21,7 +23,13 @@ Array = npt.NDArray[np.float64]
 
 
 class Frames(Protocol):
-    """What the node needs to know about frames."""
+    """What the node needs to know about frames.
+
+    Attributes:
+        source: where transforms are taken from, in words.
+    """
+
+    source: str
 
     def lookup(self, target: str, source: str, stamp: Time, timeout_s: float, should_stop: Callable[[], bool]) -> Array:
         """Return T_target_source (4, 4) at `stamp`.
@@ -40,7 +48,11 @@ class Frames(Protocol):
 
 
 class StaticFrames:
-    """Transforms that never change, chained over any number of frames."""
+    """Transforms that never change, chained over any number of frames.
+
+    Attributes:
+        source: see `Frames`.
+    """
 
     def __init__(self, transforms: Sequence[str] = ()) -> None:
         """Read the transforms.
@@ -52,6 +64,7 @@ class StaticFrames:
             ParameterError: an entry that cannot be read.
         """
         self._tree = TransformTree()
+        self.source = f"static_transforms alone ({len(transforms)} given): tf2_ros cannot be imported"
         for text in transforms:
             words = text.replace(",", " ").split()
             try:
@@ -79,7 +92,13 @@ class StaticFrames:
 
 
 class TfFrames:
-    """tf2's buffer, polled from the worker's thread; the static transforms come first."""
+    """tf2's buffer, polled from the worker's thread; the static transforms come first.
+
+    Attributes:
+        source: see `Frames`.
+    """
+
+    source = "static_transforms first, then tf2"
 
     def __init__(self, buffer: Any, static: StaticFrames, *, poll_s: float = 0.01) -> None:
         """Wrap a buffer.
@@ -121,6 +140,11 @@ def make_frames(node: Any, transforms: Sequence[str]) -> Frames:
         import tf2_ros  # type: ignore[import-not-found,unused-ignore]
     except ImportError:
         return static
-    buffer = tf2_ros.Buffer(node=node)
-    node.tf_listener = tf2_ros.TransformListener(buffer, node)  # the node keeps it alive
+    # A buffer that is given the node opens the service `tf2_frames` on it, one more name on the graph that nothing here needs. What
+    # else it would do with the node is done here: when simulated time jumps back, what came from its future is forgotten, for tf2
+    # would take everything newer for old.
+    buffer = tf2_ros.Buffer()
+    back = JumpThreshold(min_forward=None, min_backward=Duration(seconds=-1), on_clock_change=True)
+    node.tf_jumps = node.get_clock().create_jump_callback(back, post_callback=lambda _: buffer.clear())
+    node.tf_listener = tf2_ros.TransformListener(buffer, node)  # the node keeps both alive
     return TfFrames(buffer, static)

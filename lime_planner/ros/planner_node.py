@@ -80,6 +80,7 @@ class PlannerNode(Node):
         self._warn = Throttle(self.get_logger().warning, _WARNING_PERIOD_S)
         self.inputs = Inputs(self._ros_now_s, self._warn)
         self.frames = make_frames(self, settings.node.static_transforms)
+        self.get_logger().info(f"frames from {self.frames.source}")
         self.source = SceneSource(self.inputs, self.frames, "", lambda scene, _q, _padding: scene)
         self._open_outputs()
         self.board = Board(self.get_name(), self._now, self._status.publish)
