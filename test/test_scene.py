@@ -8,11 +8,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.sparse.csgraph import connected_components
 
 from lime_planner.errors import SceneError
 from lime_planner.scene.plant import PlantOptions, generate_plant
 from lime_planner.scene.plant_surface import on_spheres
 from lime_planner.scene.scene import Scene
+from lime_planner.scene.voxels import linked
 
 
 def limes(*centres, radius=0.0225):
@@ -110,6 +112,27 @@ def test_a_lime_that_touches_the_targets_stays_but_for_a_sliver():
     assert 0.8 * len(second) < len(kept) <= len(second)
     assert (np.linalg.norm(kept - [0.5, 0.0, 0.5], axis=1) >= 0.0295).all()
     assert len(first) > 0
+
+
+def test_linked_points_are_those_of_one_cluster():
+    rng = np.random.default_rng(0)
+    for _ in range(100):
+        points = (rng.uniform(-0.1, 0.1, (int(rng.integers(1, 300)), 3)) * rng.uniform(0.2, 1.5)).astype(np.float32)
+        seed = int(rng.integers(len(points)))
+        near = ((points[:, None].astype(np.float64) - points[None]) ** 2).sum(axis=2) <= 0.012**2
+        clusters = connected_components(near)[1]
+        assert (linked(points, seed, 0.012) == (clusters == clusters[seed])).all()
+
+
+def test_a_fruit_of_very_many_points_is_let_go_as_one_of_few():
+    """A camera at close range sees a lime in tens of thousands of points."""
+    rng = np.random.default_rng(0)
+    around = rng.normal(size=(300_000, 3))
+    lime = 0.023 * around / np.linalg.norm(around, axis=1)[:, None] + [0.5, 0.0, 0.5]
+    other = lime + [0.0, 0.08, 0.0]
+    scene = Scene.from_points(np.vstack([lime, other]), np.full(600_000, 2), frame_id="base")
+    kept = scene.impermeable_points((0.5, 0.0, 0.5), 0.06)
+    assert len(kept) == 300_000 and kept[:, 1].min() > 0.05
 
 
 def test_moving_a_plant_takes_everything_along():

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial import cKDTree
 
 from lime_planner.errors import SceneError
 
@@ -225,6 +224,8 @@ class Scene:
             target_position: (3,) [m], or None to keep all fruit.
             radius_m: how far from the target its fruit may be.
         """
+        from lime_planner.scene.voxels import linked  # compiled; whoever only reads a scene need not load Numba
+
         if target_position is None or not len(self.fruit_points):
             return np.concatenate([self.stem_points, self.fruit_points])
         centre = np.asarray(target_position, dtype=np.float64)
@@ -233,7 +234,7 @@ class Scene:
         if from_target[seed] > radius_m:
             return np.concatenate([self.stem_points, self.fruit_points])
         near = np.flatnonzero(from_target < from_target[seed] + 2.0 * FRUIT_EXTENT_M)
-        cluster = near[_connected(self.fruit_points[near], int(np.searchsorted(near, seed)), FRUIT_LINK_M)]
+        cluster = near[linked(self.fruit_points[near], int(np.searchsorted(near, seed)), FRUIT_LINK_M)]
         if np.ptp(self.fruit_points[cluster], axis=0).max() > FRUIT_EXTENT_M:
             cluster = cluster[from_target[cluster] < min(FRUIT_RADIUS_M, radius_m)]
         kept = np.ones(len(self.fruit_points), dtype=bool)
@@ -330,16 +331,3 @@ def _labels(value: npt.ArrayLike, n: int) -> npt.NDArray[Any]:
     if array.dtype.kind == "f" and not (np.isfinite(array).all() and (array == np.trunc(array)).all()):
         raise SceneError("labels: some are not whole numbers")
     return array
-
-
-def _connected(points: Float32, seed: int, link_m: float) -> npt.NDArray[np.int64]:
-    """Return the indices of the points that are linked to `seed` by steps of at most `link_m`."""
-    tree = cKDTree(points)
-    seen = np.zeros(len(points), dtype=bool)
-    seen[seed] = True
-    front = [seed]
-    while front:
-        neighbours = np.unique(np.concatenate([np.asarray(n, dtype=np.int64) for n in tree.query_ball_point(points[front], link_m)]))
-        front = neighbours[~seen[neighbours]].tolist()
-        seen[front] = True
-    return np.flatnonzero(seen)

@@ -116,6 +116,50 @@ def _lonely(points: Any, edge_m: float, at_least: int, bits: int) -> Any:
     return lonely
 
 
+@kernel
+def _linked(points: Any, seed: int, link_m: float) -> Any:
+    n = points.shape[0]
+    keys = np.empty(n, np.int64)
+    for i in range(n):
+        keys[i] = _key(int(np.floor(points[i, 0] / link_m)), int(np.floor(points[i, 1] / link_m)), int(np.floor(points[i, 2] / link_m)))
+    waiting = np.argsort(keys)  # the points cell by cell; those of a cell that are not linked yet stand first
+    ordered = keys[waiting]
+    left = np.zeros(n, np.int64)  # how many those are, where a cell begins
+    begin = 0
+    for k in range(1, n + 1):
+        if k == n or ordered[k] != ordered[begin]:
+            left[begin] = k - begin
+            begin = k
+    linked = np.zeros(n, np.bool_)
+    front = np.empty(n, np.int64)
+    front[0], count = seed, 1  # the seed is found again among its neighbours
+    while count > 0:
+        count -= 1
+        x, y, z, key = points[front[count], 0], points[front[count], 1], points[front[count], 2], keys[front[count]]
+        ix, iy, iz = (key >> 42) - _SPAN, ((key >> 21) & 0x1FFFFF) - _SPAN, (key & 0x1FFFFF) - _SPAN
+        for dx in range(-1, 2):
+            for dy in range(-1, 2):
+                for dz in range(-1, 2):
+                    other = _key(ix + dx, iy + dy, iz + dz)
+                    cell = np.searchsorted(ordered, other)
+                    if cell == n or ordered[cell] != other:
+                        continue
+                    k = cell
+                    while k < cell + left[cell]:
+                        i = waiting[k]
+                        square = (points[i, 0] - x) ** 2 + (points[i, 1] - y) ** 2 + (points[i, 2] - z) ** 2
+                        if square > link_m * link_m:
+                            k += 1
+                            continue
+                        left[cell] -= 1
+                        last = cell + left[cell]
+                        waiting[k], waiting[last] = waiting[last], i
+                        linked[i] = True
+                        front[count] = i
+                        count += 1
+    return linked
+
+
 def _frozen(points: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
     # A scene's arrays are read-only, others are not: Numba would compile each kernel twice.
     view = np.ascontiguousarray(points).view()
@@ -155,8 +199,15 @@ def lonely(points: npt.NDArray[np.float32], radius_m: float, neighbours: int) ->
     return result
 
 
+def linked(points: npt.NDArray[np.float32], seed: int, link_m: float) -> npt.NDArray[np.bool_]:
+    """Tell which points (N,) are reached from point `seed` by steps of at most `link_m` from point to point."""
+    result: npt.NDArray[np.bool_] = _linked(_frozen(points), seed, float(link_m))
+    return result
+
+
 def warm_up() -> None:
     """Compile the kernels, or load them from the cache: 2 s or 0.1 s."""
     points = np.zeros((2, 3), dtype=np.float32)
     displacement(points, *thin(points, 0.01))
     lonely(points, 0.01, 1)
+    linked(points, 0, 0.01)
