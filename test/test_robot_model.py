@@ -202,6 +202,7 @@ def test_locked_joints_and_a_subset() -> None:
     assert np.linalg.norm(centre["left"] - centre["right"]) == pytest.approx(0.05 + 0.09)
     one = robot_from_urdf(urdf(), joint_names=["b"], locked={"a": np.pi / 2})
     assert one.joint_names == ("b",)
+    assert one.held_joints == (("a", pytest.approx(np.pi / 2)),) and robot.held_joints == ()
     np.testing.assert_allclose(one.forward([np.pi / 2])[:3, 3], [0.0, 0.4, 0.6], atol=1e-12)
     assert {link.name: link.joint for link in one.links} == {"base": 0, "upper": 0, "lower": 1, "left": 1, "right": 1}
 
@@ -271,6 +272,7 @@ MESH = '<collision><geometry><mesh filename="{}"/></geometry></collision>'
         (urdf(), {"joint_names": ["a", "a"]}, "twice"),
         (urdf(), {"joint_names": ["a", "f"]}, "prismatic"),
         (urdf(), {"joint_names": ["a", "c"]}, "fixed"),
+        (urdf().replace('"a" type="continuous"', '"a" type="prismatic"'), {}, r"joint a \(prismatic\) moves between"),
         (urdf(), {"tool_frame": "nose"}, "'nose'.*end_effector"),
         (urdf(), {"planning_frame": "hand"}, "no joint turns"),
         (urdf(), {"planning_frame": "upper", "joint_names": ["a", "b"]}, "stands still: base"),
@@ -298,7 +300,7 @@ MESH = '<collision><geometry><mesh filename="{}"/></geometry></collision>'
         ),
         (urdf().replace('<mimic joint="f"', '<mimic joint="g"'), {}, "g mimics 'g'"),
     ],
-    ids=range(36),
+    ids=range(37),
 )
 def test_refused_with_a_sentence(text: str, arguments: dict[str, object], sentence: str) -> None:
     with pytest.raises(RobotError, match=sentence):

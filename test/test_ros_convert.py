@@ -36,6 +36,27 @@ def test_joints_are_found_by_name_in_any_order_among_others() -> None:
     assert reader.configuration(state(["j2", "j1", "j3"], [2.0, 1.0, 3.0])).tolist() == [1.0, 2.0, 3.0]
 
 
+def test_a_joint_that_carries_the_arm_must_stay_where_plans_take_it_to_be() -> None:
+    reader = JointReader(JOINTS, (("lift", 0.2), ("slide", 0.0)))
+    arm = state([*JOINTS], [1.0, 2.0, 3.0])
+
+    def refusal() -> str:
+        with pytest.raises(Refusal) as caught:
+            reader.configuration(arm)
+        assert caught.value.status is Status.BAD_INPUT
+        return str(caught.value)
+
+    assert reader.configuration(arm).tolist() == [1.0, 2.0, 3.0], "nobody has said anything of it"
+    reader.look_at_held(state(["lift"], [0.195]))
+    assert reader.configuration(arm).tolist() == [1.0, 2.0, 3.0]
+    reader.look_at_held(state(["wheel", "lift"], [0.0, 0.5]))
+    assert refusal().startswith("the joint lift is at 0.500, but every plan takes it to stay at 0.200")
+    reader.look_at_held(state(["slide"], [math.nan]))
+    assert "lift" in refusal() and "the joint slide is at nan" in refusal()
+    reader.look_at_held(state(["slide", "lift"], [0.0, 0.2]))
+    assert reader.configuration(arm).tolist() == [1.0, 2.0, 3.0]
+
+
 def test_turns_are_kept() -> None:
     assert JointReader(JOINTS).configuration(state([*JOINTS], [20.0, -30.0, 0.0])).tolist() == [20.0, -30.0, 0.0]
 

@@ -47,6 +47,7 @@ class Robot:
         collision_pairs: pairs of indices of `links` to be checked for self-collision.
         reach_m: no point of the arm gets farther from the planning frame's origin.
         urdf: the description as used, tool frame included.
+        held_joints: joints between planning frame and tool that are not planned for, and where they must stay [rad or m].
     """
 
     name: str
@@ -63,6 +64,7 @@ class Robot:
     collision_pairs: tuple[tuple[int, int], ...]
     reach_m: float
     urdf: str
+    held_joints: tuple[tuple[str, float], ...] = ()
 
     @classmethod
     def load(cls, name_or_path: str | os.PathLike[str], **options: Any) -> Robot:
@@ -221,6 +223,7 @@ def robot_from_urdf(
         collision_pairs=find_collision_pairs(tree.chain, tree.links, tree.adjacent, tree.lower, tree.upper),
         reach_m=_reach(tree.chain, tree.links),
         urdf=text,
+        held_joints=tree.held,
     )
 
 

@@ -29,7 +29,7 @@ _MOVING = ("revolute", "continuous", "prismatic", "floating", "planar")
 class ArmTree:
     """What `read_tree` found; the fields are those of `lime_planner.robot.model.Robot`.
 
-    `adjacent` holds the pairs of indices of `links` that meet in one joint.
+    `adjacent` holds the pairs of indices of `links` that meet in one joint; `held` is `held_joints`.
     """
 
     joint_names: tuple[str, ...]
@@ -43,6 +43,7 @@ class ArmTree:
     chain: Chain
     links: tuple[LinkMesh, ...]
     adjacent: frozenset[tuple[int, int]]
+    held: tuple[tuple[str, float], ...]
 
 
 class _Joints:
@@ -63,6 +64,10 @@ class _Joints:
         element = joint.find("child")
         return "" if element is None else element.get("link", "")
 
+    def root(self) -> str:
+        """Return the link that no joint moves."""
+        return next(link for link in self.links if link not in self.above)
+
     def path_to(self, link: str) -> list[ET.Element]:
         """Return the joints from the root to a link, root first."""
         path = []
@@ -70,6 +75,12 @@ class _Joints:
             path.append(self.above[link])
             link = self.parent(self.above[link])
         return path[::-1]
+
+    def held_between(self, base: str, tool: str, names: Sequence[str]) -> list[str]:
+        """Return the joints between two links that may move, follow no other joint, and are none of these."""
+        above = self.path_to(base)
+        between = [j for j in self.path_to(tool) if j not in above and j.get("type") in _MOVING and j.find("mimic") is None]
+        return [name for name in (j.get("name", "") for j in between) if name not in names]
 
     def movers_to(self, link: str) -> list[str]:
         """Return the names of the turning, unmimicked joints from the root to a link."""
@@ -106,6 +117,13 @@ def read_tree(
     if tool_frame not in joints.links:
         raise RobotError(f"the tool frame {tool_frame!r} is not a link of the robot; links are {', '.join(joints.links)}")
     names = _choose_joints(joints, joint_names, tool_frame, planning_frame)
+    held = joints.held_between(planning_frame or joints.root(), tool_frame, names)
+    if not joint_names and not set(held) <= set(locked):
+        kind = joints.by_name[held[0]].get("type")
+        raise RobotError(
+            f"the joint {held[0]} ({kind}) moves between the planning frame and the tool, and only joints that turn are planned for: "
+            f"set planning_frame to a link beyond it, or name the arm's joints, which holds it where its position is 0"
+        )
     try:
         model = pin.buildModelFromXML(text)
         geometry = pin.buildGeomFromUrdfString(model, text, pin.GeometryType.COLLISION)
@@ -114,12 +132,13 @@ def read_tree(
         reason = " ".join(str(error).rpartition("message:")[2].split())
         raise RobotError(f"the robot description cannot be used: {reason}") from error
     reference = _locked_configuration(joints, model, names, locked)
+    positions = _positions(model, reference, held)
     others = [j for j in range(1, model.njoints) if model.names[j] not in names]
     model, geometries = pin.buildReducedModel(model, [geometry], others, reference)
     geometry = geometries[0]
 
     frames = {f.name: f for f in model.frames if f.type == pin.FrameType.BODY}
-    planning_frame = planning_frame or next(link for link in joints.links if link not in joints.above)
+    planning_frame = planning_frame or joints.root()
     if planning_frame not in frames or frames[planning_frame].parentJoint != 0:
         still = [name for name, f in frames.items() if f.parentJoint == 0]
         raise RobotError(f"the planning frame {planning_frame!r} must be a link that stands still: {', '.join(still)}")
@@ -128,7 +147,18 @@ def read_tree(
     links = _read_links(geometry, model, T_planning_root, turns)
     lower, upper, continuous, velocity, acceleration = _read_limits(joints, names)
     return ArmTree(
-        tuple(names), lower, upper, continuous, velocity, acceleration, planning_frame, tool_frame, chain, links, _adjacent(joints, links)
+        tuple(names),
+        lower,
+        upper,
+        continuous,
+        velocity,
+        acceleration,
+        planning_frame,
+        tool_frame,
+        chain,
+        links,
+        _adjacent(joints, links),
+        positions,
     )
 
 
@@ -212,6 +242,17 @@ def _locked_configuration(joints: _Joints, model: Any, names: Sequence[str], loc
         position = value(name)
         q[start : start + nq] = [position] if nq == 1 else [np.cos(position), np.sin(position)]
     return q
+
+
+def _positions(model: Any, reference: Array, names: Sequence[str]) -> tuple[tuple[str, float], ...]:
+    """Return where joints of one degree of freedom are in a full configuration [rad or m]."""
+    found = []
+    for name in names:
+        joint = model.joints[model.getJointId(name)]
+        q = reference[joint.idx_q : joint.idx_q + joint.nq]
+        if joint.nv == 1:
+            found.append((name, float(q[0]) if joint.nq == 1 else float(np.arctan2(q[1], q[0]))))
+    return tuple(found)
 
 
 def _read_chain(model: Any, T_planning_root: Any, T_last_tool: Any) -> tuple[Chain, Array]:

@@ -42,23 +42,31 @@ def to_duration(time_s: float) -> Duration:
     return Duration(sec=int(nanoseconds // 1_000_000_000), nanosec=int(nanoseconds % 1_000_000_000))
 
 
+#: How far a joint that plans take to stay may be from its place [rad or m].
+_HELD_TOLERANCE = 0.01
+
+
 class JointReader:
     """Picks the arm's joints out of joint states, by name."""
 
-    def __init__(self, joint_names: Sequence[str]) -> None:
+    def __init__(self, joint_names: Sequence[str], held: Sequence[tuple[str, float]] = ()) -> None:
         """Make a reader.
 
         Args:
             joint_names: the arm's joints in its own order.
+            held: joints that carry the arm, or a part of it, and where plans take them to stay [rad or m].
         """
         self.joint_names = tuple(joint_names)
+        self._held = tuple(held)
+        self._elsewhere: dict[str, str] = {}
         self._known: tuple[tuple[str, ...], npt.NDArray[np.intp]] | None = None
 
     def configuration(self, msg: JointState) -> Array:
         """Return the configuration (n,) in arm order [rad], turns kept as measured.
 
         Raises:
-            Refusal: BAD_INPUT: a joint is missing, named twice, or not finite; names and positions differ in number.
+            Refusal: BAD_INPUT: a joint is missing, named twice, or not finite; names and positions differ in number; a joint that is
+                held was last seen elsewhere.
         """
         names = tuple(msg.name)
         if len(msg.position) != len(names):
@@ -69,7 +77,20 @@ class JointReader:
         if not np.isfinite(q).all():
             bad = [f"{name} = {value}" for name, value in zip(self.joint_names, q, strict=True) if not np.isfinite(value)]
             raise Refusal(Status.BAD_INPUT, f"the joint state is not finite: {', '.join(bad)}")
+        if self._elsewhere:
+            raise Refusal(Status.BAD_INPUT, "; ".join(self._elsewhere.values()))
         return q
+
+    def look_at_held(self, msg: JointState) -> None:
+        """Notice where held joints are; they may come in messages of their own."""
+        for name, position in self._held:
+            if name not in msg.name or msg.name.index(name) >= len(msg.position):
+                continue
+            measured = msg.position[msg.name.index(name)]
+            self._elsewhere.pop(name, None)
+            if not abs(measured - position) <= _HELD_TOLERANCE:
+                sentence = f"the joint {name} is at {measured:.3f}, but every plan takes it to stay at {position:.3f}"
+                self._elsewhere[name] = f"{sentence}: set planning_frame to a link beyond it"
 
     def concerns_the_arm(self, msg: JointState) -> bool:
         """Tell whether a message names any of the arm's joints; fingers may come in messages of their own."""

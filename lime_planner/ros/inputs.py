@@ -8,7 +8,7 @@ from __future__ import annotations
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -176,11 +176,18 @@ class Inputs:
         self.joints = JointHistory()
         self.arm_at_clouds = ArmAtClouds(self.joints)
 
-    def set_joints(self, joint_names: tuple[str, ...]) -> None:
-        """Say which joints the arm has; what was measured for another arm is forgotten, what came lately is read again."""
-        reader = JointReader(joint_names)
+    def set_joints(self, joint_names: tuple[str, ...], held: Sequence[tuple[str, float]] = ()) -> None:
+        """Say which joints the arm has; what was measured for another arm is forgotten, what came lately is read again.
+
+        Args:
+            joint_names: the arm's, in its own order.
+            held: see `JointReader`.
+        """
+        reader = JointReader(joint_names, held)
         self.joints.clear()
         self._reader = reader
+        for msg, _, _ in list(self._recent):
+            reader.look_at_held(msg)
         for state in [self._read(reader, msg, arrival_s, now_s) for msg, arrival_s, now_s in list(self._recent)]:
             if state is not None:
                 self.joints.add(state, counted=True)
@@ -207,6 +214,8 @@ class Inputs:
         """Take in a joint state; return it when it can be used."""
         arrival_s, now_s, reader = time.monotonic(), self._ros_now_s(), self._reader
         self._recent.append((msg, arrival_s, now_s))
+        if reader is not None:
+            reader.look_at_held(msg)
         if reader is None or not reader.concerns_the_arm(msg):
             self.joints.skip()
             return None
