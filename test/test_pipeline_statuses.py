@@ -192,6 +192,18 @@ def test_it_can_be_stopped_while_the_fields_are_built() -> None:
     assert not result.phases_s  # not even the fields were finished
 
 
+def test_a_scene_out_of_reach_is_said_to_be() -> None:
+    """A scan in millimetres: nothing is in the way, because nothing of it is here."""
+    near = plant(5)
+    scene = near.placed(1000.0, (0.0, 0.0, 0.0))
+    result = plan(scene, pose_to_matrix(near.target_pose))
+    assert result.status is Status.SUCCEEDED
+    assert f"none of the scene's {scene.n_points} points is within reach, the nearest is " in result.message
+    assert result.message.endswith("m away: is the scene in metres?")
+    assert "within reach" not in plan(near, pose_to_matrix(near.target_pose)).message
+    assert "within reach" not in plan(scene_of(), goal(0.3)).message
+
+
 def test_leaf_budget() -> None:
     scene = plant(5)
     T = pose_to_matrix(scene.target_pose)

@@ -272,7 +272,7 @@ MESH = '<collision><geometry><mesh filename="{}"/></geometry></collision>'
         (urdf(), {"joint_names": ["a", "a"]}, "twice"),
         (urdf(), {"joint_names": ["a", "f"]}, "prismatic"),
         (urdf(), {"joint_names": ["a", "c"]}, "fixed"),
-        (urdf().replace('"a" type="continuous"', '"a" type="prismatic"'), {}, r"joint a \(prismatic\) moves between"),
+        (urdf().replace('"a" type="continuous">', '"a" type="prismatic"><limit lower="0" upper="1"/>'), {}, r"joint a \(prismatic\) moves"),
         (urdf(), {"tool_frame": "nose"}, "'nose'.*end_effector"),
         (urdf(), {"planning_frame": "hand"}, "no joint turns"),
         (urdf(), {"planning_frame": "upper", "joint_names": ["a", "b"]}, "stands still: base"),

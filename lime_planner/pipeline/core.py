@@ -175,7 +175,7 @@ class Pipeline:
         sentence = (
             f"{len(found.path)} waypoints over {figures['path_length_rad']:.2f} rad, {figures['leaf_contact_rad']:.3f} rad of it among "
             f"leaves, stems at least {1e3 * figures['min_stem_clearance_m']:.1f} mm away, "
-            f"{figures['trajectory'].duration_s:.1f} s of motion, planned in {clock.elapsed():.2f} s"
+            f"{figures['trajectory'].duration_s:.1f} s of motion, planned in {clock.elapsed():.2f} s{_unseen(scene, obstacles)}"
         )
         return refused(Stopped(Status.SUCCEEDED, sentence), **figures)
 
@@ -328,3 +328,14 @@ class Pipeline:
 
     def _obstacles_of(self, scene: Scene, T_base_tool: Array | None, settings: Settings, should_stop: Callable[[], bool]) -> Obstacles:
         return self.obstacles(scene, None if T_base_tool is None else T_base_tool[:3, 3], settings, should_stop)
+
+
+def _unseen(scene: Scene, obstacles: Obstacles) -> str:
+    """Say that nothing of a scene was in the way because nothing of it is near: a scan in millimetres is the usual reason."""
+    if not scene.n_points or len(obstacles.hard) or len(obstacles.leaves):
+        return ""
+    parts = (scene.leaf_points, scene.stem_points, scene.fruit_points)
+    nearest_m = min(float(np.linalg.norm(points, axis=1).min()) for points in parts if len(points))
+    return (
+        f"; but none of the scene's {scene.n_points} points is within reach, the nearest is {nearest_m:.1f} m away: is the scene in metres?"
+    )
