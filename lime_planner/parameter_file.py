@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from lime_planner.errors import ParameterError
-from lime_planner.parameters import PARAMETERS, settings_from, validate
+from lime_planner.parameters import PARAMETERS, read_yaml, settings_from, validate
 
 NODE = "lime_planner"
 
@@ -38,7 +38,7 @@ def read_parameter_file(path: Path, node: str = NODE) -> ParameterFile:
     import yaml
 
     try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+        content = read_yaml(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError) as error:
         raise ParameterError(f"{path}: cannot be read ({getattr(error, 'strerror', None) or error})") from None
     except yaml.YAMLError as error:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
+from numbers import Real
 from typing import Any
 
 from lime_planner.errors import ParameterError
@@ -199,16 +201,21 @@ def _number(parameter: Parameter, value: Any, element: type) -> Any:
             raise ParameterError(f"{parameter.name} must be text, got {value!r}")
         return value
     wanted = "whole number" if element is int else "number"
-    if not isinstance(value, (int, float)):
+    if not isinstance(value, Real):  # NumPy's numbers are such too
         raise ParameterError(f"{parameter.name} must be a {wanted}, got {value!r}")
-    if not math.isfinite(value):
+    try:
+        finite = math.isfinite(value)
+    except OverflowError:  # a whole number beyond every float
+        finite = False
+    if not finite:
         raise ParameterError(f"{parameter.name} must be finite, got {value!r}")
-    if element is int and int(value) != value:
+    number = element(value)
+    if element is int and number != value:
         raise ParameterError(f"{parameter.name} must be a {wanted}, got {value!r}")
     low, high = parameter.minimum, parameter.maximum
-    if (low is not None and value < low) or (high is not None and value > high):
-        raise ParameterError(f"{parameter.name} is {value!r}; allowed: {parameter.range_text} {parameter.unit}".rstrip())
-    return element(value)
+    if (low is not None and number < low) or (high is not None and number > high):
+        raise ParameterError(f"{parameter.name} is {number!r}; allowed: {parameter.range_text} {parameter.unit}".rstrip())
+    return number
 
 
 def validate(name: str, value: Any) -> Any:
@@ -225,9 +232,13 @@ def validate(name: str, value: Any) -> Any:
         hint = f"; did you mean {', '.join(close)}?" if close else ""
         raise ParameterError(f"there is no parameter {name!r}{hint}")
     if parameter.kind is list:
-        if isinstance(value, str) or not hasattr(value, "__iter__"):
+        try:
+            elements = None if isinstance(value, str) else list(value)
+        except TypeError:
+            elements = None
+        if elements is None:
             raise ParameterError(f"{name} must be a list, got {value!r}")
-        values = [_number(parameter, v, parameter.element) for v in value]
+        values = [_number(parameter, v, parameter.element) for v in elements]
         if len(values) % parameter.length_multiple:
             raise ParameterError(f"{name} needs a multiple of {parameter.length_multiple} numbers, got {len(values)}")
         return values
@@ -268,6 +279,22 @@ def settings_from(mapping: Mapping[str, Any] | None = None) -> Settings:
     return Settings(**chosen)
 
 
+def read_yaml(text: str) -> Any:
+    """Read YAML with the numbers that ROS reads: 1e3 and 5e-3 are numbers, which YAML 1.1 takes for text.
+
+    Raises:
+        yaml.YAMLError: the text is no YAML, or holds something else than data.
+    """
+    import yaml
+
+    class Loader(yaml.SafeLoader):
+        """The safe loader; a class of its own, so that nobody else's YAML changes its meaning."""
+
+    plain = re.compile(r"^[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?$")
+    Loader.add_implicit_resolver("tag:yaml.org,2002:float", plain, list("-+.0123456789"))  # asked after YAML 1.1's own
+    return yaml.load(text, Loader=Loader)
+
+
 def parse_assignment(text: str) -> tuple[str, Any]:
     """Read `NAME=VALUE` as YAML would (lists in brackets), checked.
 
@@ -282,7 +309,7 @@ def parse_assignment(text: str) -> tuple[str, Any]:
     parameter = PARAMETERS.get(name.strip()) or NODE_PARAMETERS.get(name.strip())
     parsed: Any
     try:
-        parsed = value if parameter is not None and parameter.kind is str else yaml.safe_load(value)
+        parsed = value if parameter is not None and parameter.kind is str else read_yaml(value)
     except yaml.YAMLError as error:
         raise ParameterError(f"{name} cannot be read from {value!r}: {str(error).splitlines()[0]}") from None
     return name.strip(), validate(name.strip(), parsed)
