@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -66,6 +67,22 @@ def test_every_machine_stays_on_the_list(tmp_path: Path) -> None:
     results, _ = collect(plan(range(4), machine=machines[2]), path, jobs=1, resume=True)  # nothing was left to do on it
     assert results["machines"] == machines[:2]
     assert machine_text(results) == "slow, 2 cores, load 0.5 at the start (continued on fast, 2 cores, load 0.5)"
+
+
+def test_a_run_that_fails_at_once_leaves_no_file_in_the_way(tmp_path: Path) -> None:
+    path = tmp_path / "results.json"
+
+    def fails(number: int) -> dict[str, Any]:
+        if number == 1:
+            raise ValueError("no good")
+        return {"n": number}
+
+    with pytest.raises(ValueError, match="no good"):
+        collect(replace(plan([1, 2]), run=fails), path, jobs=1, resume=False)
+    assert list(tmp_path.iterdir()) == []
+    with pytest.raises(ValueError, match="no good"):
+        collect(replace(plan([2, 1]), run=fails), path, jobs=1, resume=False)
+    assert numbers_in(load_results(path, "numbers")["trials"]) == [2]
 
 
 KILLED = """\

@@ -153,7 +153,9 @@ def test_worlds_go_through_their_file_unchanged(tmp_path: Any) -> None:
     [
         ({"start": [1.0]}, "start must be two numbers"),
         ({"goal": [1.0, None]}, "goal must be two numbers"),
-        ({"goal": [500.0, 5.0]}, "outside of the map"),
+        ({"goal": [500.0, 5.0]}, r"goal \[500, 5\] is outside of the map \[0, 0\] to \[100, 100\]"),
+        ({"impermeable": [box(1, 1, 2, 2), box(80, 40, 100, 60)]}, r"^goal \[90, 50\] lies in impermeable\[1\]$"),
+        ({"impermeable": [box(0, 0, 100, 100)]}, r"^start \[10, 50\] lies in impermeable\[0\]$"),
         ({"map": {"lower": [0, 0]}}, "map must be an object"),
         ({"map": {"lower": [0, 0], "upper": [0, 9]}}, "must be below"),
         ({"permeable": [[[0, 0], [1, 1]]]}, r"permeable\[0\] must be a list of at least 3 corners"),
@@ -166,6 +168,13 @@ def test_worlds_go_through_their_file_unchanged(tmp_path: Any) -> None:
 def test_wrong_files_are_refused_by_field(change: dict[str, Any], words: str) -> None:
     with pytest.raises(SceneError, match=words):
         world_from_dict({**wall_g().to_dict(), **change})
+
+
+def test_start_and_goal_may_lie_on_an_outline_and_among_leaves() -> None:
+    changed = {"impermeable": [box(90, 50, 95, 60)], "permeable": [box(0, 0, 100, 100)], "start": [0, 0]}
+    read = world_from_dict({**wall_g().to_dict(), **changed})
+    assert evaluate_one(read.space(), np.array(read.start)) == 0.0
+    assert evaluate_one(read.space(), np.array(read.goal)) == 1.0
 
 
 def test_unreadable_files_are_refused(tmp_path: Any) -> None:

@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +23,7 @@ from lime_planner.experiments.runner import run_trials
 from lime_planner.experiments.wall_reference import MARKS, ROWS
 from lime_planner.experiments.wall_report import claims, statistics_text, table_text, tolerance, values, yardstick
 from lime_planner.experiments.wall_trials import WallOptions, collect, options_from
-from lime_planner.planning.plane import random_wall
+from lime_planner.planning.plane import load_world, random_wall, wall_g
 
 TRIALS = 20
 
@@ -207,6 +208,27 @@ def test_wrong_arguments_are_refused(arguments: tuple[str, ...], words: str, tmp
     args.out = tmp_path
     with pytest.raises((ParameterError, SceneError), match=words):
         wall.run(args)
+
+
+def test_a_wall_that_leaves_no_way_is_refused_and_its_folder_stays_free(tmp_path: Path) -> None:
+    world = wall_g().to_dict() | {"impermeable": [[[80, 40], [100, 40], [100, 60], [80, 60]]]}
+    (tmp_path / "w.json").write_text(json.dumps(world))
+    args = parse("--wall", str(tmp_path / "w.json"), "--trials", "1", "--iterations", "100", "--jobs", "1", "--no-figures")
+    args.out = tmp_path / "out"
+    with pytest.raises(SceneError, match=r"w\.json: goal \[90, 50\] lies in impermeable\[0\]"):
+        wall.run(args)
+    with pytest.raises(SceneError, match=r"^start \[1, 2\] lies in impermeable\[0\]"):
+        WallOptions(world=replace(wall_g(), start=(1.0, 2.0), impermeable=(((0.0, 0.0), (9.0, 0.0), (0.0, 9.0)),)))
+    assert not args.out.exists()
+
+
+def test_the_wall_of_the_help_is_one(tmp_path: Path) -> None:
+    text = wall._EPILOG
+    (tmp_path / "w.json").write_text(text[text.index("{") : text.rindex("}") + 1])
+    read = load_world(tmp_path / "w.json")
+    assert len(read.permeable) == len(read.impermeable) == 1 and read.name == "w"
+    outcome = wall_trials.run_trial(wall_trials.Task(small(world=read), ROWS[0], 0))
+    assert set(outcome["marks"]) == {"300", "600"}
 
 
 def test_options_from_the_command_line() -> None:

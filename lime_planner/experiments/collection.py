@@ -173,7 +173,6 @@ def collect(plan: Plan[Task], path: Path, *, jobs: int, resume: bool, scheduler:
         ParameterError: an earlier run is there and `resume` is not set, or its options or its version of this package differ.
     """
     book = _Book(plan, path, resume)
-    complete = False
     try:
         if scheduler is not None:
             from lime_planner.experiments.cluster import run_on_cluster
@@ -181,8 +180,11 @@ def collect(plan: Plan[Task], path: Path, *, jobs: int, resume: bool, scheduler:
             complete = run_on_cluster(plan.run, book.tasks, book.keep, scheduler=scheduler, description=plan.name)
         else:
             complete = run_trials(plan.run, book.tasks, book.keep, jobs=max(1, min(jobs, len(book.tasks))), description=plan.name)
-    finally:  # whatever went wrong, what is done is not lost
-        book.close(complete)
+    except BaseException:  # whatever went wrong, what is done is not lost; a file without any of it would only be in the way
+        if book.trials or book.aside:
+            book.close(False)
+        raise
+    book.close(complete)
     return book.results, complete
 
 

@@ -15,6 +15,25 @@ if TYPE_CHECKING:
     from lime_planner.experiments.wall_trials import WallOptions
 
 
+_EPILOG = """\
+A wall of your own is a JSON file; permeable polygons cost, impermeable ones
+block. Corners may lie beyond the map, start and goal may not. Nothing of it
+has a unit, but steps (--option delta) and field are made for maps of 100:
+
+  {"map": {"lower": [0, 0], "upper": [100, 100]},
+   "start": [10, 50], "goal": [90, 50],
+   "permeable": [[[42, -10], [58, -10], [58, 110], [42, 110]]],
+   "impermeable": [[[46, 30], [54, 30], [54, 60], [46, 60]]]}
+
+Both lists of polygons may be left out; "name" is for titles.
+
+examples:
+  lime-planner experiment wall --trials 20 --out wall
+  lime-planner experiment wall --wall mine.json --trials 20 --out mine
+  lime-planner experiment wall --random-wall 7 --trials 20 --out seven
+"""
+
+
 def run_wall(
     options: WallOptions, out: Path, *, jobs: int | None = None, scheduler: str | None = None, resume: bool = False, figures: bool = True
 ) -> bool:
@@ -54,8 +73,9 @@ def run_wall(
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the command's arguments."""
+    parser.epilog = _EPILOG
     add_run_arguments(parser)
-    parser.add_argument("--wall", type=Path, metavar="FILE.json", help="another wall (default: geometry G, fitted to the paper)")
+    parser.add_argument("--wall", type=Path, metavar="FILE.json", help="another wall, see below (default: geometry G, fitted to the paper)")
     parser.add_argument("--random-wall", type=int, metavar="SEED", help="a wall of another shape, made from a seed")
     parser.add_argument("--trials", type=int, default=100, metavar="N", help="trials for each row (default: %(default)s)")
     parser.add_argument("--iterations", type=int, default=5000, metavar="N", help="iterations of a run (default: %(default)s)")

@@ -14,7 +14,7 @@ from lime_planner.experiments import collection
 from lime_planner.experiments.collection import Plan
 from lime_planner.experiments.wall_reference import MARKS, ROWS, Row
 from lime_planner.planning.paper import PaperOptions, Snapshot, plan_paper
-from lime_planner.planning.plane import PlaneWorld, wall_g, world_from_dict
+from lime_planner.planning.plane import PlaneWorld, check_ends, wall_g, world_from_dict
 
 _CURVE_POINTS = 20  # of the cost-over-iterations figure
 
@@ -46,7 +46,9 @@ class WallOptions:
 
         Raises:
             ParameterError: names the field, its value and what is allowed.
+            SceneError: start or goal of the wall is where nothing may be.
         """
+        check_ends(self.world)
         if self.trials < 1:
             raise ParameterError(f"trials must be at least 1, got {self.trials}")
         if self.seed < 0:

@@ -13,9 +13,9 @@ import numpy as np
 import numpy.typing as npt
 
 from lime_planner.errors import ProblemError, SceneError
-from lime_planner.planning.plane_space import IMPERMEABLE, PERMEABLE, PlaneSpace
+from lime_planner.planning.plane_space import IMPERMEABLE, PERMEABLE, PlaneSpace, is_inside
 
-__all__ = ["IMPERMEABLE", "PERMEABLE", "PlaneSpace", "PlaneWorld", "load_world", "random_wall", "wall_g", "world_from_dict"]
+__all__ = ["IMPERMEABLE", "PERMEABLE", "PlaneSpace", "PlaneWorld", "check_ends", "load_world", "random_wall", "wall_g", "world_from_dict"]
 
 Array = npt.NDArray[np.float64]
 Corners = tuple[tuple[float, float], ...]
@@ -100,7 +100,7 @@ def world_from_dict(data: Any, name: str = "wall") -> PlaneWorld:
         name: used where the object has none.
 
     Raises:
-        SceneError: names the field and what was expected.
+        SceneError: names the field and what was expected; also where start or goal is outside of the map or in something impermeable.
     """
     if not isinstance(data, dict):
         raise SceneError(f"a wall must be a JSON object, got {type(data).__name__}")
@@ -125,10 +125,26 @@ def world_from_dict(data: Any, name: str = "wall") -> PlaneWorld:
         permeable=_polygons(data.get("permeable", []), "permeable"),
         impermeable=_polygons(data.get("impermeable", []), "impermeable"),
     )
-    for field, point in (("start", world.start), ("goal", world.goal)):
-        if not all(low <= v <= high for low, v, high in zip(lower, point, upper, strict=True)):
-            raise SceneError(f"{field} {list(point)} is outside of the map {list(lower)} to {list(upper)}")
+    check_ends(world)
     return world
+
+
+def check_ends(world: PlaneWorld) -> None:
+    """Check that a search can begin and end: start and goal on the map, and in nothing impermeable (its outline is allowed).
+
+    Raises:
+        SceneError: names the field, the point and what it is in.
+    """
+    for field, point in (("start", world.start), ("goal", world.goal)):
+        if not all(low <= v <= high for low, v, high in zip(world.lower, point, world.upper, strict=True)):
+            raise SceneError(f"{field} {_text(point)} is outside of the map {_text(world.lower)} to {_text(world.upper)}")
+        for i, corners in enumerate(world.impermeable):
+            if is_inside(corners, point):
+                raise SceneError(f"{field} {_text(point)} lies in impermeable[{i}]")
+
+
+def _text(point: tuple[float, float]) -> str:
+    return f"[{point[0]:g}, {point[1]:g}]"
 
 
 def load_world(path: str | Path) -> PlaneWorld:

@@ -62,6 +62,13 @@ def _inside(vertices: Any, first: int, last: int, x: float, y: float) -> bool:
     return inside
 
 
+def is_inside(corners: npt.ArrayLike, point: npt.ArrayLike) -> bool:
+    """Tell whether a point (2,) lies strictly inside a polygon (V, 2), by the very rule of the planners [map units]."""
+    x, y = np.asarray(point, dtype=np.float64)
+    vertices = np.ascontiguousarray(corners, dtype=np.float64)
+    return bool(_inside(vertices, 0, len(vertices), x, y))
+
+
 @hot_kernel
 def inside_kind(space: Any, kind: int, x: float, y: float) -> bool:
     """Tell whether (x, y) lies strictly inside any polygon of one kind."""
