@@ -145,28 +145,32 @@ def _fill(parser: argparse.ArgumentParser, module: ModuleType, command: Command)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run one command and return its exit status: 0 for success, 1 with `CODE: sentence` on standard error, 2 for wrong usage."""
+    """Run one command and return its exit status: 0 for success, 1 with `CODE: sentence` on standard error, 2 for wrong usage.
+
+    With `--json` the code and the sentence are there too, as `status` and `message`, unless argparse itself refuses the arguments.
+    """
     arguments = list(sys.argv[1:] if argv is None else argv)
     debug = "--debug" in arguments
     if not arguments:
         build_parser(()).print_help(sys.stderr)
         return 2
+    args = argparse.Namespace()
     try:
         args = build_parser(arguments).parse_args(arguments)
         return int(args.run(args))
     except LimePlannerError as error:
         if debug:
             traceback.print_exc()
-        print(getattr(error, "status", Status.BAD_INPUT).message(str(error)), file=sys.stderr)
+        _tell(args, getattr(error, "status", Status.BAD_INPUT), str(error))
         return int(getattr(error, "exit_status", 1))
     except ModuleNotFoundError as error:
         if debug:
             traceback.print_exc()
         root = (error.name or "").split(".")[0]
         advice = f"; pip install 'lime_planner[{_EXTRAS[root]}]' brings it" if root in _EXTRAS else ""
-        print(Status.INTERNAL_ERROR.message(f"the library {root!r} is not installed{advice}"), file=sys.stderr)
+        _tell(args, Status.INTERNAL_ERROR, f"the library {root!r} is not installed{advice}")
     except KeyboardInterrupt:
-        print(Status.CANCELLED.message("stopped by the keyboard"), file=sys.stderr)
+        _tell(args, Status.CANCELLED, "stopped by the keyboard")
         return 130
     except BrokenPipeError:
         # The reader of our output has gone (`| head`): nobody is left to tell.
@@ -175,5 +179,14 @@ def main(argv: Sequence[str] | None = None) -> int:
         if debug:
             traceback.print_exc()
         text = " ".join(str(error).split()) or "no text"
-        print(Status.INTERNAL_ERROR.message(f"{type(error).__name__}: {text} (--debug prints where)"), file=sys.stderr)
+        _tell(args, Status.INTERNAL_ERROR, f"{type(error).__name__}: {text} (--debug prints where)")
     return 1
+
+
+def _tell(args: argparse.Namespace, status: Status, sentence: str) -> None:
+    """Say on standard error, and where `--json` is set also there, how a command ended."""
+    from lime_planner.cli_output import emit_outcome
+
+    message = status.message(sentence)
+    print(message, file=sys.stderr)
+    emit_outcome(args, status.name, message)

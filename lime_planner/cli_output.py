@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
 import os
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
+
+from lime_planner.errors import ParameterError
 
 STDOUT = "-"
 
@@ -34,3 +38,32 @@ def emit_json(destination: str | os.PathLike[str], figures: Mapping[str, Any]) -
     from lime_planner.viewer.tables import write_json
 
     write_json(destination, figures)
+
+
+def emit_outcome(args: argparse.Namespace, code: str, message: str) -> None:
+    """Write an outcome without figures, as `status` and `message`, to where the arguments want JSON, if they do.
+
+    So no reader takes an earlier run's file for this one's. A file that is something else than figures stays as it is: in
+    `plan --json plant.npz` it is the scene.
+
+    Args:
+        args: of the command, whether it has `--json` or not.
+        code: the status.
+        message: `CODE: sentence`.
+    """
+    destination = getattr(args, "json", None)
+    if destination is None or (not is_stdout(destination) and not _may_be_replaced(Path(destination))):
+        return
+    # Why the file cannot be written may be what the message says already; standard error has it in any case.
+    with contextlib.suppress(ParameterError, BrokenPipeError):
+        emit_json(destination, {"status": code, "message": message})
+
+
+def _may_be_replaced(path: Path) -> bool:
+    try:
+        with path.open("rb") as file:
+            return file.read(64).lstrip()[:1] in (b"", b"{")
+    except FileNotFoundError:
+        return True
+    except OSError:
+        return False

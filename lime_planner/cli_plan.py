@@ -42,7 +42,8 @@ examples:
       --stem /seg/stem --target /grasp
 
 The exit status is 0 only for SUCCEEDED; otherwise the code and one sentence go
-to standard error. --set understands what `lime-planner parameters` lists.
+to standard error, with --json also to FILE. --set understands what
+`lime-planner parameters` lists.
 """
 
 
@@ -95,7 +96,9 @@ def _sort_arguments(args: argparse.Namespace) -> None:
     args.topics = topics_of(args)
     if args.bag is None:
         if args.scene is None:
-            raise UsageError("give a SCENE, or a recording with --bag")
+            taken = args.json is not None and Path(args.json).suffix.lower() in (".npz", ".ply", ".pcd")
+            hint = f" (--json took {args.json} for the file to write; name the scene first)" if taken else ""
+            raise UsageError(f"give a SCENE, or a recording with --bag{hint}")
         if args.topics or args.at is not None:
             option = "--at" if args.at is not None else f"--{next(iter(args.topics)).split('_')[0]}"
             raise UsageError(f"{option} names a {'moment' if args.at is not None else 'topic'} of a recording; name that with --bag")
@@ -285,9 +288,11 @@ def _report(result: PlanResult, scene: Scene, robot: Robot, q_start: Any, target
     figures = result.figures()
     quiet = is_stdout(args.json)
     if args.json is not None:
-        emit_json(args.json, {**figures, **_provenance(args, target)})
+        file = args.json
+        emit_json(file, {**figures, **_provenance(args, target)})
+        args.json = None  # a picture that cannot be drawn now changes nothing about the plan
         if not quiet:
-            print(f"figures: {args.json}")
+            print(f"figures: {file}")
     if args.picture is not None:
         from lime_planner.viewer.picture import draw_picture
 

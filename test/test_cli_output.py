@@ -49,6 +49,54 @@ def test_json_into_a_file_leaves_the_text(tmp_path: Path, capsys: pytest.Capture
         emit_json(tmp_path / "file" / "a.json", {})
 
 
+def test_every_outcome_is_in_the_json(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    """What stands there from an earlier run must not be taken for this one's."""
+    file = tmp_path / "plan.json"
+
+    def told(*arguments: Any, exit_status: int = 1) -> dict[str, str]:
+        file.write_text('{"status": "SUCCEEDED", "message": "SUCCEEDED: long ago"}')
+        assert cli.main([*map(str, arguments), "--json", str(file)]) == exit_status
+        figures = json.loads(file.read_text())
+        out, err = capsys.readouterr()
+        assert (out, err) == ("", figures["message"] + "\n") and figures["message"].startswith(figures["status"] + ": ")
+        return dict(figures)
+
+    missing = tmp_path / "none.npz"
+    assert told("plan", missing) == {"status": "BAD_INPUT", "message": f"BAD_INPUT: {missing}: there is no such file"}
+    assert told("plan", missing, "--set", "seed=-1")["status"] == "BAD_INPUT"
+    assert told("plan", exit_status=2)["message"].startswith("BAD_INPUT: give a SCENE")
+    assert told("scene", "info", missing)["status"] == "BAD_INPUT"
+    from lime_planner import cli_plan
+
+    def raising(error: BaseException) -> Any:
+        def run(_: object) -> int:
+            raise error
+
+        return run
+
+    for error, status, code in (
+        (KeyboardInterrupt(), "CANCELLED", 130),
+        (ZeroDivisionError("x"), "INTERNAL_ERROR", 1),
+        (ModuleNotFoundError("No module named 'rosbags'", name="rosbags"), "INTERNAL_ERROR", 1),
+    ):
+        monkeypatch.setattr(cli_plan, "run", raising(error))
+        assert told("plan", missing, exit_status=code)["status"] == status
+    monkeypatch.undo()
+    assert cli.main(["plan", str(missing), "--json"]) == 1
+    out, err = capsys.readouterr()
+    assert json.loads(out) == {"status": "BAD_INPUT", "message": err.rstrip()}
+
+
+def test_an_outcome_never_takes_the_place_of_something_else(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    scene = tmp_path / "plant.npz"
+    scene.write_bytes(b"PK a scene")
+    assert cli.main(["plan", "--json", str(scene)]) == 2  # argparse takes the scene for the file
+    assert f"--json took {scene} for the file to write" in capsys.readouterr().err
+    assert scene.read_bytes() == b"PK a scene"
+    assert cli.main(["plan", str(scene), "--json", str(tmp_path)]) == 1
+    assert capsys.readouterr().err.count("\n") == 1
+
+
 def test_a_bar_on_a_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
     shown = io.StringIO()
     monkeypatch.setattr(progress, "console", lambda error: Console(file=shown, force_terminal=True, width=80))
