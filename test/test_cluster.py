@@ -138,6 +138,23 @@ def test_work_is_shared_and_errors_come_back(dask: Cluster, monkeypatch: pytest.
 
 def test_nobody_answers(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cluster, "CONNECT_TIMEOUT_S", 0.5)
-    for address in ("tcp://127.0.0.1:1", "nonsense://x"):
-        with pytest.raises(ParameterError, match="no Dask scheduler answers there"):
-            run_on_cluster(nap, [0.0], print, scheduler=address, description="nobody")
+    with pytest.raises(ParameterError, match="no Dask scheduler answers there"):
+        run_on_cluster(nap, [0.0], print, scheduler="tcp://127.0.0.1:1", description="nobody")
+
+
+@pytest.mark.parametrize(
+    ("address", "words"),
+    [
+        ("nonsense", "missing port"),
+        ("nonsense://x", "unknown address scheme 'nonsense'"),
+        ("tcp://host", "missing port"),
+        ("tcp://:8786", "no host"),
+        ("host:many", "many"),
+        ("tls://host:99999", "port 99999; allowed are 1 to 65535"),
+    ],
+)
+def test_what_is_no_address_is_refused_at_once(address: str, words: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("distributed.Client", lambda *_, **__: pytest.fail("a client was made"))
+    with pytest.raises(ParameterError) as refused:
+        run_on_cluster(nap, [0.0], print, scheduler=address, description="nobody")
+    assert str(refused.value).startswith(f"--scheduler {address}: is no address like tcp://host:8786 (") and words in str(refused.value)

@@ -47,9 +47,30 @@ def carry_out(version: str, function: Callable[[Task], Result], task: Task) -> R
         return function(task)
 
 
+def _check_address(address: str) -> None:
+    """Refuse what no connection can be tried to: a client that fails over it takes most of a minute to end, and prints a traceback.
+
+    Raises:
+        ParameterError: unknown scheme, or no host and port.
+    """
+    from distributed.comm.addressing import parse_address, parse_host_port
+    from distributed.comm.registry import get_backend
+
+    try:
+        scheme, location = parse_address(address)
+        get_backend(scheme)
+        if scheme in ("tcp", "tls"):
+            host, port = parse_host_port(location)
+            if not host or not 1 <= port <= 65535:
+                raise ValueError("no host" if not host else f"port {port}; allowed are 1 to 65535")
+    except ValueError as error:
+        raise ParameterError(f"--scheduler {address}: is no address like tcp://host:8786 ({error})") from error
+
+
 def _client(address: str) -> Any:
     from distributed import Client
 
+    _check_address(address)
     try:
         return Client(address, timeout=CONNECT_TIMEOUT_S, set_as_default=False)
     except (OSError, TimeoutError, ValueError) as error:
@@ -81,7 +102,7 @@ def run_on_cluster(
         True when all are done; False after ctrl-C: what has not arrived by then is dropped.
 
     Raises:
-        ParameterError: no scheduler answers at the address.
+        ParameterError: the address is none, or no scheduler answers there.
         ClusterError: the workers have another version of this package, the scheduler is gone, or a trial killed worker after worker.
         Exception: what a trial raised; results that have arrived by then are handed over first.
     """
