@@ -6,7 +6,7 @@
     scene = Scene.load("plant.npz")
     result = plan(scene, robot, seed=1)
     print(result.message)
-    result.save("plan.json")
+    result.save("plan.json", scene_path="plant.npz")
     draw(result, scene, robot, "plan.png")
 
 The names here are loaded when they are first used.

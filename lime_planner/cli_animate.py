@@ -9,8 +9,9 @@ from lime_planner.errors import ParameterError
 from lime_planner.parameters import settings_from
 
 _EPILOG = """\
-PLAN is what `lime-planner plan --json` wrote. The motion runs in its own time,
-seen from beside. Orange: leaves that the arm touches, and the part of the
+PLAN is what `lime-planner plan --json` wrote, or `result.save` in Python;
+--scene names its scene where the plan does not. The motion runs in its own
+time, seen from beside. Orange: leaves that the arm touches, and the part of the
 tool's path on which it touches any.
 
 examples:
@@ -24,6 +25,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the command's arguments."""
     parser.epilog = _EPILOG
     parser.add_argument("plan", metavar="PLAN", type=Path, help="a saved plan (.json)")
+    parser.add_argument("--scene", type=Path, metavar="SCENE", help="its scene's file; default: the one that the plan names")
     parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="the animation: .gif or .mp4")
     parser.add_argument("--fps", type=float, default=15.0, metavar="N", help="pictures a second (default 15)")
     parser.add_argument("--width", type=int, default=560, metavar="PIXELS", help="width of a picture (default 560)")
@@ -48,7 +50,7 @@ def run(args: argparse.Namespace) -> int:
         raise ParameterError(f"--out {args.out}: ends in none of {', '.join(SUFFIXES)}")
     plan = read_plan(args.plan)
     settings = settings_from(plan.parameters)
-    scene = plan.load_scene()
+    scene = plan.load_scene(args.scene)
     robot = load_arm(settings)
     shown = Shown(1, scene, settings, plan.target, plan.result(robot))
     screen = console(error=True)

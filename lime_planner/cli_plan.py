@@ -289,7 +289,7 @@ def _report(result: PlanResult, scene: Scene, robot: Robot, q_start: Any, target
     quiet = is_stdout(args.json)
     if args.json is not None:
         file = args.json
-        emit_json(file, {**figures, **_provenance(args, target)})
+        emit_json(file, {**figures, **result.origin(), **_provenance(args, target)})
         args.json = None  # a picture that cannot be drawn now changes nothing about the plan
         if not quiet:
             print(f"figures: {file}")

@@ -37,6 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--nodes", action="store_true", help="start scene, simulated arm and planner as ROS nodes, and show the planner's page"
     )
+    parser.add_argument("--scene", type=Path, metavar="SCENE", help="with a saved plan: its scene; default: the one that the plan names")
     parser.add_argument("--port", type=int, metavar="N", help=f"port of the page (default: the first free one from {DEFAULT_PORT})")
     parser.add_argument("--host", default="127.0.0.1", metavar="ADDRESS", help="address to serve at; default: this machine only")
     parser.add_argument("--allow-motion", default="", metavar="TOKEN", help="with --host: who knows TOKEN may use the buttons")
@@ -61,6 +62,8 @@ def run(args: argparse.Namespace) -> int:
         raise ParameterError(f"--port {args.port}: allowed are 1 to 65535")
     if args.allow_motion and access.local:
         raise ParameterError("--allow-motion is for pages that other machines can open; give --host too")
+    if args.scene is not None and (args.nodes or args.what is None or args.what.suffix.lower() != ".json"):
+        raise ParameterError("--scene is for a saved plan (.json); a scene by itself is given as FILE")
     if args.nodes:
         from lime_planner.ros.view_nodes import run_with_nodes
 
@@ -98,7 +101,7 @@ def _desk(args: argparse.Namespace) -> Desk:
         plan = read_plan(args.what)
         values = {**plan.parameters, **values}
         options |= {
-            "scene": plan.load_scene(),
+            "scene": plan.load_scene(args.scene),
             "saved": plan.result,
             "q_start": plan.q_start if start is None else start,
             "target": plan.target if args.target is None else options["target"],

@@ -12,7 +12,7 @@ from arm_helpers import plant, robot_named
 from lime_planner import PlanResult, PlantOptions, Robot, Scene, Status, draw, generate_plant, plan
 from lime_planner.api import _warm_pipeline
 from lime_planner.errors import ParameterError, ProblemError, SceneError
-from lime_planner.poses import pose_to_matrix
+from lime_planner.poses import matrix_to_pose, pose_to_matrix
 from lime_planner.robot.model import load_robot
 from lime_planner.scene.files import load_scene
 
@@ -48,7 +48,13 @@ def test_a_result_is_easy_to_look_at(result: PlanResult) -> None:
 
 def test_a_result_is_saved_as_the_command_line_saves_it(result: PlanResult, tmp_path: Path) -> None:
     path = result.save(tmp_path / "deep" / "plan.json")
-    assert json.loads(path.read_text()) == json.loads(json.dumps(result.figures()))
+    kept = json.loads(path.read_text())
+    assert kept.items() >= json.loads(json.dumps(result.figures())).items()
+    assert kept["parameters"] == {
+        **{"seed": 2, "iterations": 400, "robot": "kinova_j2s6s200", "planning_frame": "base", "tool_frame": "j2s6s200_end_effector"},
+        "arm_joints": list(robot_named().joint_names),
+    }
+    assert kept["start"] == pytest.approx(robot_named().home) and kept["target_pose"] == pytest.approx(matrix_to_pose(result.T_base_tool))
     (tmp_path / "file").write_text("")
     with pytest.raises(ParameterError, match="cannot be written"):
         result.save(tmp_path / "file" / "plan.json")

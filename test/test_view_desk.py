@@ -12,6 +12,7 @@ import pytest
 from arm_helpers import pipeline_of, plant, robot_named, scene_of, settings
 
 from lime_planner import cli
+from lime_planner.cli_view import _desk
 from lime_planner.errors import ParameterError
 from lime_planner.poses import pose_to_matrix
 from lime_planner.robot.model import home
@@ -181,6 +182,37 @@ def test_saved_plan_comes_back(tmp_path: Path, shown: Shown, capsys: pytest.Capt
         assert picture.n_frames == round(result.trajectory.duration_s * 2.0) + 1
     assert cli.main(["animate", str(plan), "--out", str(tmp_path / "reach.avi")]) == 1
     assert "ends in none of .gif, .mp4" in capsys.readouterr().err
+
+
+def test_a_plan_saved_in_python_comes_back(tmp_path: Path, shown: Shown, capsys: pytest.CaptureFixture[str]) -> None:
+    scene, gif = tmp_path / "plant.npz", tmp_path / "reach.gif"
+    save_scene(scene, shown.scene)
+    bare, named = shown.result.save(tmp_path / "bare.json"), shown.result.save(tmp_path / "named.json", scene_path="plant.npz")
+
+    def drawn(plan: Path, *options: str) -> int:
+        return cli.main(["animate", str(plan), "--out", str(gif), "--fps", "1", "--width", "120", *options])
+
+    assert drawn(named) == 0 and gif.stat().st_size > 1000
+    gif.unlink()
+    assert drawn(bare) == 1
+    assert "bare.json: does not name its scene; give it with --scene SCENE" in capsys.readouterr().err
+    assert drawn(bare, "--scene", str(scene)) == 0 and gif.stat().st_size > 1000
+    desk = _desk(cli.build_parser(["view"]).parse_args(["view", str(bare), "--scene", str(scene)]))
+    try:
+        moment = until(desk, lambda moment: moment.shown is not None)
+        assert moment.shown is not None and moment.scene is not None and moment.scene.n_points == shown.scene.n_points
+        np.testing.assert_allclose(moment.shown.result.waypoints, shown.result.waypoints)
+        np.testing.assert_allclose(moment.target, shown.target)
+        assert (moment.settings.iterations, moment.settings.seed) == (400, 3)
+    finally:
+        desk.close()
+    scene.unlink()
+    assert drawn(named) == 1
+    assert "its scene plant.npz is not there; say where it is with --scene" in capsys.readouterr().err
+    own = read_plan(shown.result.save(tmp_path / "own.json", robot_path="arm.urdf"))
+    assert own.parameters["robot"] == "arm.urdf"
+    assert cli.main(["view", str(scene), "--scene", str(scene)]) == 1
+    assert "--scene is for a saved plan" in capsys.readouterr().err
 
 
 def test_video(tmp_path: Path, shown: Shown) -> None:

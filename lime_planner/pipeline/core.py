@@ -14,7 +14,7 @@ from lime_planner.pipeline import follow
 from lime_planner.pipeline.finish import CERTIFIED_STEP_RAD, hit_of, path_figures, sample_path
 from lime_planner.pipeline.goals import Goals, examine_start, find_goals
 from lime_planner.pipeline.obstacles import Obstacles, prepare, stem_checker
-from lime_planner.pipeline.result import PlanResult
+from lime_planner.pipeline.result import PlanResult, set_parameters
 from lime_planner.pipeline.search import Found, search
 from lime_planner.pipeline.steps import Clock, Stopped, ask, checked_start, checked_target, never
 from lime_planner.planning.lime_star import warm_up as warm_up_search
@@ -148,6 +148,7 @@ class Pipeline:
                 counts=counts,
                 T_base_tool=T,
                 q_start=q,
+                parameters=set_parameters(settings, self.robot),
                 **figures,
             )
 
@@ -269,7 +270,8 @@ class Pipeline:
             ProblemError: `waypoints` is no such array, or `T_base_tool` no pose.
         """
         T = None if T_base_tool is None else checked_target(T_base_tool)
-        return follow.follow(lambda: self._obstacles_of(scene, T, settings, should_stop), waypoints, T, settings, should_stop)
+        result = follow.follow(lambda: self._obstacles_of(scene, T, settings, should_stop), waypoints, T, settings, should_stop)
+        return dataclasses.replace(result, parameters=set_parameters(settings, self.robot))
 
     def recheck(
         self,

@@ -14,6 +14,9 @@ import numpy.typing as npt
 
 from lime_planner.atomic import write_json
 from lime_planner.motion.trajectory import Trajectory
+from lime_planner.parameters import PARAMETERS, Settings
+from lime_planner.poses import matrix_to_pose
+from lime_planner.robot.model import Robot
 from lime_planner.status import Status
 
 Array = npt.NDArray[np.float64]
@@ -74,6 +77,7 @@ class PlanResult:
         counts: numbers of points used, dropped, hidden, of goals, of checks.
         T_base_tool: the target, (4, 4).
         q_start: (n,) configuration that was planned from [rad].
+        parameters: what it was made with, but for the defaults (see `set_parameters`).
     """
 
     status: Status
@@ -101,6 +105,7 @@ class PlanResult:
     counts: Mapping[str, int] = field(default_factory=dict)
     T_base_tool: Array | None = None
     q_start: Array | None = None
+    parameters: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def succeeded(self) -> bool:
@@ -121,13 +126,41 @@ class PlanResult:
         code, _, sentence = self.message.partition(": ")
         return f"<p><b>{html.escape(code)}</b>: {html.escape(sentence)}</p><table>{cells}</table>"
 
-    def save(self, path: str | os.PathLike[str]) -> Path:
-        """Write `figures` as JSON, the file of `lime-planner plan --json`; a reader never sees half of it.
+    def save(
+        self,
+        path: str | os.PathLike[str],
+        *,
+        scene_path: str | os.PathLike[str] | None = None,
+        robot_path: str | os.PathLike[str] | None = None,
+    ) -> Path:
+        """Write the file of `lime-planner plan --json`, for `lime-planner view` and `animate`; a reader never sees half of it.
+
+        Args:
+            path: the file, which holds `figures`, the target, the start and the parameters.
+            scene_path: the scene's file, which a plan does not know; without it, `view` and `animate` must be told with `--scene`.
+                A scene that is not as its file has it (moved, or with labels of its own) is saved with `Scene.save` first.
+            robot_path: the URDF file of an arm that is not built in.
+
+        Returns:
+            The file's path.
 
         Raises:
             ParameterError: the file cannot be written.
         """
-        return write_json(path, self.figures())
+        values = {**self.figures(), **self.origin()}
+        if scene_path is not None:
+            values["scene"] = os.fspath(scene_path)
+        if robot_path is not None:
+            values["parameters"]["robot"] = os.fspath(robot_path)
+        return write_json(path, values)
+
+    def origin(self) -> dict[str, Any]:
+        """What the plan was made from, as far as it knows, ready for JSON: `target_pose`, `start` and `parameters`."""
+        return {
+            "target_pose": None if self.T_base_tool is None else matrix_to_pose(self.T_base_tool).tolist(),
+            "start": None if self.q_start is None else np.asarray(self.q_start, dtype=np.float64).tolist(),
+            "parameters": dict(self.parameters),
+        }
 
     def figures(self) -> dict[str, Any]:
         """Everything but the tool path as plain Python numbers, lists and dictionaries, ready for JSON; NaN becomes None."""
@@ -150,3 +183,20 @@ class PlanResult:
                 "velocities": self.trajectory.velocities.tolist(),
             }
         return values
+
+
+def set_parameters(settings: Settings, robot: Robot) -> dict[str, Any]:
+    """Return the parameters that are not at their defaults, JSON-ready, with those of the arm that was really there.
+
+    An arm that is not built in is there by its name only; where its description lies is for others to say.
+    """
+    values = {name: getattr(settings, name) for name in PARAMETERS}
+    changed = {name: list(v) if isinstance(v, tuple) else v for name, v in values.items()}
+    changed = {name: value for name, value in changed.items() if value != PARAMETERS[name].default}
+    arm = {
+        "robot": robot.name,
+        "arm_joints": list(robot.joint_names),
+        "planning_frame": robot.planning_frame,
+        "tool_frame": robot.tool_frame,
+    }
+    return {**changed, **arm}

@@ -1,4 +1,4 @@
-"""Saved plans: what `lime-planner plan --json` writes, read back with the scene that it was made in."""
+"""Saved plans: what `lime-planner plan --json` and `PlanResult.save` write, read back with the scene that it was made in."""
 
 from __future__ import annotations
 
@@ -47,28 +47,39 @@ class SavedPlan:
 
     @property
     def q_start(self) -> Array | None:
-        """Where the plan begins (n,) [rad], None for a plan without a path."""
+        """Where the plan begins (n,) [rad], None for a plan without a path that does not say."""
         waypoints = self.figures["waypoints"]
-        return np.asarray(waypoints[0], dtype=np.float64) if waypoints else None
+        start = waypoints[0] if waypoints else self.figures.get("start")
+        return None if start is None else np.asarray(start, dtype=np.float64)
 
-    def load_scene(self) -> Scene:
+    def load_scene(self, path: Path | None = None) -> Scene:
         """Load the scene, looked for where it was, and beside the plan.
+
+        Args:
+            path: where it is, for a plan that does not know; it is placed as the plan says.
 
         Raises:
             SceneError: it cannot be read.
-            ParameterError: the plan does not name it.
+            ParameterError: the plan does not name it, or it is not there any more.
         """
-        name, placement = self.figures.get("scene"), self.figures.get("placement") or {}
-        if not isinstance(name, str):
-            raise ParameterError(
-                f"{self.path}: does not name its scene; make it anew with `lime-planner plan SCENE --json {self.path.name}`"
-            )
-        places = [Path(name), self.path.parent / name, self.path.parent / Path(name).name]
-        place = next((place for place in places if place.is_file()), places[0])
+        placement = self.figures.get("placement") or {}
+        place = self._scene_file() if path is None else path
         options = {key: value for key, value in placement.items() if key != "fruit_labels"}
         if "fruit_labels" in placement:
             options["fruit_label"] = placement["fruit_labels"][0] if placement["fruit_labels"] else None
         return load_scene(place, default_frame="", **options)
+
+    def _scene_file(self) -> Path:
+        name = self.figures.get("scene")
+        if not isinstance(name, str):
+            raise ParameterError(
+                f"{self.path}: does not name its scene; give it with --scene SCENE (in Python: result.save(path, scene_path=...) names it)"
+            )
+        places = [Path(name), self.path.parent / name, self.path.parent / Path(name).name]
+        place = next((place for place in places if place.exists()), None)
+        if place is None:
+            raise ParameterError(f"{self.path}: its scene {name} is not there; say where it is with --scene SCENE")
+        return place
 
     def result(self, robot: Robot) -> PlanResult:
         """Return the plan as it was made.
@@ -96,6 +107,8 @@ class SavedPlan:
             waypoints=waypoints,
             trajectory=trajectory,
             T_base_tool=None if self.target is None else pose_to_matrix(self.target),
+            q_start=self.q_start,
+            parameters=self.parameters,
             **numbers,
         )
 
