@@ -137,6 +137,17 @@ def test_ratios_count_failures_and_leave_them_out() -> None:
     assert ranking(cells, [0, 1]) == ["apf_rrt_star", "rrt_star", "p_rrt_star"]
 
 
+def test_planners_without_paths_are_not_ranked(run: Any) -> None:
+    _, results = run
+    nothing = {"cost": None, "J": None, "nodes_inside": None, "length": None}
+    none = [{**trial, **nothing} for trial in results["trials"]]
+    text = table_text({**results, "trials": none})
+    assert "No ranking: there is no plant on which all three planners found a path." in text and "Ranking by" not in text
+    assert "nan" not in text
+    partly = cells_of({"trials": made_up({"rrt_star": [1.0], "apf_rrt_star": [2.0], "p_rrt_star": [None]}, 0)})
+    assert ranking(partly, [0]) == []
+
+
 def test_command_checks_its_numbers(tmp_path: Path) -> None:
     parser = argparse.ArgumentParser()
     lime.add_arguments(parser)

@@ -176,9 +176,11 @@ def sensitivity_table(cells: Cells, plants: list[int]) -> str:
 
 
 def ranking(cells: Cells, plants: list[int]) -> list[str]:
-    """Planners by mean node cost over plants, cheapest first; plants on which one has no path do not count."""
+    """Planners by mean node cost over plants, cheapest first; plants on which one has no path do not count, and without any it is empty."""
     usable = [p for p in plants if all(len(quantity(cells.get((p, FIXED, key), []))) for key in ALGORITHMS)]
-    means = {key: np.mean([quantity(cells[(p, FIXED, key)]).mean() for p in usable]) if usable else math.nan for key in ALGORITHMS}
+    if not usable:
+        return []
+    means = {key: np.mean([quantity(cells[(p, FIXED, key)]).mean() for p in usable]) for key in ALGORITHMS}
     return sorted(ALGORITHMS, key=lambda key: means[key])
 
 
@@ -208,5 +210,6 @@ def table_text(results: dict[str, Any]) -> str:
         lines += [plants_table(cells, plants[1:]), "", "## Sensitivity to the choices, over the further plants", ""]
         lines += [sensitivity_table(cells, plants[1:]), ""]
     order = " < ".join(LABELS[key].replace("*", "\\*") for key in ranking(cells, plants))
-    lines += [f"Ranking by mean node cost over all plants: {order}.", ""]
+    words = f"Ranking by mean node cost over all plants: {order}."
+    lines += [words if order else "No ranking: there is no plant on which all three planners found a path.", ""]
     return "\n".join(lines)
