@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from lime_planner.experiments.arguments import add_run_arguments
+from lime_planner.experiments.arguments import add_run_arguments, make_folder
 from lime_planner.experiments.bench_planners import add_problem_arguments, finish, problems_of, run_comparison
 
 PEERS = ("ompl_rrt_star", "ompl_informed_rrt_star", "ompl_bit_star", "ompl_rrt_connect")
@@ -105,7 +105,7 @@ def run_search(args: argparse.Namespace) -> int:
         key_of_record=lambda r: (r["problem"], r["method"], str(sorted(r["settings"].items()))),
         extra={"machine": machine(), "problems": [spec.to_dict() for spec in problems]},
     )
-    args.out.mkdir(parents=True, exist_ok=True)
+    make_folder(args.out)
     results, complete = collect(plan, args.out / "results.json", jobs=jobs, resume=args.resume, scheduler=args.scheduler)
     found = {method: choose(method, results["trials"], seconds) for method in methods}
     path = write_json(

@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from lime_planner.experiments.arguments import add_run_arguments
+from lime_planner.experiments.arguments import add_run_arguments, finite_number, make_folder
 
 if TYPE_CHECKING:
     from lime_planner.experiments.comparison import Comparison
@@ -34,7 +34,7 @@ def add_problem_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--cases", nargs="+", default=["plain"], metavar="CASE", help="plain, narrow, leaf_start, far (default: plain)")
     parser.add_argument("--seeds", type=int, default=5, metavar="N", help="seeds on each problem (default: %(default)s)")
     parser.add_argument(
-        "--marks", nargs="+", type=float, default=[0.1, 0.5, 1.0, 5.0], metavar="S", help="times [s] (default: 0.1 0.5 1 5)"
+        "--marks", nargs="+", type=finite_number, default=[0.1, 0.5, 1.0, 5.0], metavar="S", help="times [s] (default: 0.1 0.5 1 5)"
     )
     parser.add_argument("--clock", choices=("wall", "cpu"), default="wall", help="what counts as time (default: %(default)s)")
     parser.add_argument("--keep-paths", action="store_true", help="keep every final path in results.json")
@@ -46,7 +46,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_run_arguments(parser)
     add_problem_arguments(parser)
     parser.add_argument("--methods", nargs="+", metavar="NAME", help="what to compare (default: the default planner and APF-RRT*)")
-    parser.add_argument("--reference", type=float, default=30.0, metavar="S", help="budget of runs for the best known cost; 0: none")
+    parser.add_argument(
+        "--reference", type=finite_number, default=30.0, metavar="S", help="budget of runs for the best known cost; 0: none"
+    )
     parser.add_argument("--reference-seeds", type=int, default=2, metavar="N", help="such runs on each problem (default: %(default)s)")
 
 
@@ -80,7 +82,7 @@ def run_comparison(comparison: Comparison, args: argparse.Namespace) -> tuple[di
         if missing is not None:
             raise ModuleNotFoundError(f"{method} needs {missing}", name=missing.split(":")[0])
     print(comparison.statement(jobs), file=sys.stderr)
-    args.out.mkdir(parents=True, exist_ok=True)
+    make_folder(args.out)
     return collect(comparison.plan(), args.out / "results.json", jobs=jobs, resume=args.resume, scheduler=args.scheduler)
 
 

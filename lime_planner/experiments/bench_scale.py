@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from lime_planner.experiments.arguments import add_run_arguments
+from lime_planner.experiments.arguments import add_run_arguments, finite_number, make_folder
 
 if TYPE_CHECKING:
     from lime_planner.experiments.scale_cases import ScaleTask
@@ -35,7 +35,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--points", type=int, nargs="*", default=POINTS, metavar="N", help="points of a cloud (default: 1k to 5M)")
     parser.add_argument("--leaves", type=int, nargs="*", default=LEAVES, metavar="N", help="leaves of a plant (default: 30 to 900)")
     parser.add_argument("--joints", type=int, nargs="*", default=JOINTS, metavar="N", help="joints of an arm (default: 3 to 10)")
-    parser.add_argument("--budget", type=float, default=10.0, metavar="S", help="longest budget [s]; 0: none (default: %(default)s)")
+    parser.add_argument(
+        "--budget", type=finite_number, default=10.0, metavar="S", help="longest budget [s]; 0: none (default: %(default)s)"
+    )
     parser.add_argument("--repeats", type=int, default=2, metavar="N", help="plants, places or seeds for each value (default: %(default)s)")
     parser.add_argument("--targets", type=int, default=8, metavar="N", help="problems for the budget (default: %(default)s)")
 
@@ -85,7 +87,7 @@ def run(args: argparse.Namespace) -> int:
         key_of_record=lambda r: (r["axis"], r["value"], r["number"], r["problem"]),
         extra={"machine": machine()},
     )
-    args.out.mkdir(parents=True, exist_ok=True)
+    make_folder(args.out)
     results, complete = collect(
         plan, args.out / "results.json", jobs=args.jobs or default_jobs(), resume=args.resume, scheduler=args.scheduler
     )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import json
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -170,8 +171,11 @@ class Comparison:
         for method in (*self.methods, *self.reference_methods):
             if method not in methods_known():
                 raise ParameterError(f"method {method!r} is none of {', '.join(methods_known())}")
-        if not self.marks_s or list(self.marks_s) != sorted(set(self.marks_s)) or self.marks_s[0] <= 0.0:
+        finite = all(math.isfinite(mark) for mark in self.marks_s)
+        if not self.marks_s or not finite or list(self.marks_s) != sorted(set(self.marks_s)) or self.marks_s[0] <= 0.0:
             raise ParameterError(f"marks must be rising times above 0 s, got {list(self.marks_s)}")
+        if not (math.isfinite(self.reference_s) and self.reference_s >= 0.0):
+            raise ParameterError(f"reference must be a time of at least 0 s, got {self.reference_s}")
         if self.clock not in CLOCKS:
             raise ParameterError(f"clock {self.clock!r} is none of {', '.join(CLOCKS)}")
         if not self.problems:

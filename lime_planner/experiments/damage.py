@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from lime_planner.experiments.arguments import add_run_arguments
+from lime_planner.experiments.arguments import add_run_arguments, make_folder
 
 if TYPE_CHECKING:
     from lime_planner.experiments.damage_trials import DamageOptions
@@ -30,14 +30,14 @@ def run_damage(
         False if ctrl-C ended it early: what is done is in the folder.
 
     Raises:
-        ParameterError: the folder holds an earlier run that may not or cannot be continued.
+        ParameterError: the folder cannot be made or written to, or holds an earlier run that may not or cannot be continued.
     """
     from lime_planner.experiments.collection import collect
     from lime_planner.experiments.damage_report import table_text
     from lime_planner.experiments.damage_trials import plan_of
     from lime_planner.experiments.runner import default_jobs, write_atomically
 
-    out.mkdir(parents=True, exist_ok=True)
+    make_folder(out)
     results, complete = collect(plan_of(options), out / "results.json", jobs=jobs or default_jobs(), scheduler=scheduler, resume=resume)
     write_atomically(out / "table.md", table_text(results))
     if figures and complete:

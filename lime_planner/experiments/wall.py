@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from lime_planner.errors import ParameterError
-from lime_planner.experiments.arguments import add_run_arguments
+from lime_planner.experiments.arguments import add_run_arguments, make_folder
 
 if TYPE_CHECKING:
     from lime_planner.experiments.wall_trials import WallOptions
@@ -51,7 +51,7 @@ def run_wall(
         False if ctrl-C ended it early: what is done is in the folder, and table and statistics speak of that.
 
     Raises:
-        ParameterError: the folder holds an earlier run that may not or cannot be continued.
+        ParameterError: the folder cannot be made or written to, or holds an earlier run that may not or cannot be continued.
         ModuleNotFoundError: pingouin is not installed (extra `experiments`).
     """
     from lime_planner.experiments.runner import default_jobs, write_atomically
@@ -60,7 +60,7 @@ def run_wall(
 
     if importlib.util.find_spec("pingouin") is None:  # before the trials, not after them
         raise ModuleNotFoundError("the experiment's statistics need pingouin", name="pingouin")
-    out.mkdir(parents=True, exist_ok=True)
+    make_folder(out)
     results, complete = collect(options, out / "results.json", jobs=jobs or default_jobs(), resume=resume, scheduler=scheduler)
     write_atomically(out / "table.md", table_text(results))
     write_atomically(out / "statistics.md", statistics_text(results))
