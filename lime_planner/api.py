@@ -9,13 +9,13 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import numpy.typing as npt
 
-from lime_planner.errors import ParameterError, SceneError
+from lime_planner.checked import floats
+from lime_planner.errors import ParameterError, ProblemError, SceneError
 from lime_planner.parameters import NODE_PARAMETERS, settings_from
 from lime_planner.pipeline import Pipeline, PlanResult
-from lime_planner.pipeline.steps import never
+from lime_planner.pipeline.steps import checked_deadline, checked_start, checked_target, never
 from lime_planner.poses import matrix_to_pose, pose_to_matrix
 from lime_planner.robot.model import Robot
 from lime_planner.scene.scene import Scene
@@ -63,7 +63,7 @@ def plan(
     Raises:
         SceneError: the scene is in another frame than the arm's, or no target is known.
         ParameterError: an unknown parameter, or a value out of range.
-        ProblemError: a target that is no pose, or a start of the wrong size.
+        ProblemError: a target that is no pose, a start of the wrong size, or a deadline that is no time.
     """
     for name in parameters:
         if name in NODE_PARAMETERS:
@@ -79,9 +79,13 @@ def plan(
     goal = scene.target_pose if target is None else target
     if goal is None:
         raise SceneError("the scene has no target_pose; give one: target=(x, y, z, qx, qy, qz, qw)")
-    pose = np.asarray(goal, dtype=np.float64)
-    T_base_tool = pose if pose.shape == (4, 4) else pose_to_matrix(pose)
-    q_start = robot.home if start is None else start
+    pose = floats("target", goal)
+    try:
+        T_base_tool = checked_target(pose) if pose.shape == (4, 4) else pose_to_matrix(pose)
+    except ProblemError as error:
+        raise ProblemError(f"target: {error}") from None
+    q_start = robot.home if start is None else checked_start(robot, start)
+    checked_deadline(deadline_s)  # all before the kernels are loaded, which takes seconds
     pipeline, lock = _warm_pipeline(robot)
     with lock:
         return pipeline.plan(scene, T_base_tool, q_start, settings, should_stop=should_stop, deadline_s=deadline_s, seed=settings.seed)

@@ -6,6 +6,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
+from lime_planner.checked import floats
 from lime_planner.errors import ProblemError
 
 Array = npt.NDArray[np.float64]
@@ -20,7 +21,7 @@ def pose_to_matrix(pose: npt.ArrayLike) -> Array:
     Raises:
         ProblemError: not seven finite numbers, or a quaternion of length zero.
     """
-    values = np.asarray(pose, dtype=np.float64)
+    values = floats("a pose", pose)
     if values.shape != (7,):
         raise ProblemError(f"a pose needs 7 numbers x y z qx qy qz qw, got shape {values.shape}")
     if not np.isfinite(values).all():

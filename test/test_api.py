@@ -81,6 +81,18 @@ def test_callers_mistakes_are_named(robot: Robot) -> None:
         plan(scene, robot, tool_frame="hand")
     with pytest.raises(ProblemError, match="a pose needs 7 numbers"):
         plan(scene, robot, target=[0.5, 0.0, 0.5])
+    for arguments, words in (
+        ({"target": "abc"}, "target must be numbers, got 'abc'"),
+        ({"target": np.full((4, 4), np.nan)}, "target: the target needs a finite 4 x 4 pose"),
+        ({"target": [0.5, 0, 0.5, 0, 0, 0, 0]}, "target: the quaternion has length 0.0e"),
+        ({"start": "home"}, "the start must be numbers, got 'home'"),
+        ({"start": [0.0, 1.0]}, "the start needs 6 finite joint angles, got [0.0, 1.0]"),
+        ({"deadline_s": "1"}, "deadline_s must be a time in seconds or None, got '1'"),
+        ({"deadline_s": float("nan")}, "deadline_s must be a time in seconds or None, got nan"),
+    ):
+        with pytest.raises(ProblemError) as refused:
+            plan(scene, robot, **arguments)
+        assert str(refused.value).startswith(words)
     bare = Scene.from_points(scene.stem_points, np.ones(len(scene.stem_points), int))
     with pytest.raises(SceneError, match="no target_pose"):
         plan(bare, robot)

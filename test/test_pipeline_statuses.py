@@ -266,6 +266,8 @@ def test_mistakes_are_exceptions() -> None:
     ):
         with pytest.raises(ProblemError, match=words):
             plan(scene, bad)
+    with pytest.raises(ProblemError, match="the target must be numbers, got 'there'"):
+        plan(scene, "there")
     for q in (np.zeros(5), np.full(6, np.inf), np.zeros((1, 6))):
         with pytest.raises(ProblemError, match="6 finite joint angles"):
             plan(scene, T, q)

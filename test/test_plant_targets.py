@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from lime_planner.errors import SceneError
+from lime_planner.errors import ProblemError, SceneError
 from lime_planner.poses import pose_to_matrix
 from lime_planner.scene.files import load_scene
 from lime_planner.scene.plant import DENSITIES, PlantOptions, generate_plant
@@ -33,6 +33,31 @@ def test_a_grasp_pose_points_the_tools_z_along_the_approach():
     np.testing.assert_allclose(matrix[:3, 2], [0.0, 0.6, -0.8], atol=1e-12)
     np.testing.assert_allclose(matrix[:3, 3], [1.0, 2.0, 3.0])
     assert np.linalg.det(matrix[:3, :3]) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"direction": (0, 0, 0)}, "direction must have a length of at least 1e-06, got (0, 0, 0)"),
+        ({"direction": (1e-9, 0, 0)}, "direction must have a length of at least 1e-06"),
+        ({"direction": (np.nan, 0, 1)}, "direction must be 3 finite numbers, got (nan, 0, 1)"),
+        ({"direction": "ahead"}, "direction must be numbers, got 'ahead'"),
+        ({"direction": (1, 0, 0, 0)}, "direction must be 3 finite numbers"),
+        ({"position": (0.5, 0.1)}, "position must be 3 finite numbers, got (0.5, 0.1)"),
+        ({"position": (0.5, np.nan, 0.1)}, "position must be 3 finite numbers"),
+        ({"roll_rad": np.inf}, "roll_rad must be a finite angle, got inf"),
+        ({"roll_rad": [0.0]}, "roll_rad must be a finite angle, got [0.0]"),
+    ],
+)
+def test_what_is_no_grasp_is_named(given, words):
+    with pytest.raises(ProblemError) as refused:
+        grasp_pose(**{"position": (0.5, 0.0, 0.5), "direction": (1.0, 0.0, 0.0), **given})
+    assert str(refused.value).startswith(words)
+
+
+def test_directions_of_any_length_point_the_same_way():
+    for length in (2e-6, 3.0, 1e300):
+        np.testing.assert_allclose(grasp_pose((0, 0, 0), (0.0, length, 0.0)), grasp_pose((0, 0, 0), (0.0, 1.0, 0.0)), atol=1e-12)
 
 
 @pytest.mark.parametrize("density", DENSITIES)

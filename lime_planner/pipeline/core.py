@@ -16,7 +16,7 @@ from lime_planner.pipeline.goals import Goals, examine_start, find_goals
 from lime_planner.pipeline.obstacles import Obstacles, prepare, stem_checker
 from lime_planner.pipeline.result import PlanResult, set_parameters
 from lime_planner.pipeline.search import Found, search
-from lime_planner.pipeline.steps import Clock, Stopped, ask, checked_start, checked_target, never
+from lime_planner.pipeline.steps import Clock, Stopped, ask, checked_deadline, checked_start, checked_target, never
 from lime_planner.planning.lime_star import warm_up as warm_up_search
 from lime_planner.robot.exact import ExactChecker
 from lime_planner.robot.model import Robot, home
@@ -128,10 +128,10 @@ class Pipeline:
             seed: of the random generator; 0 draws one, which the result names.
 
         Raises:
-            ProblemError: `T_base_tool` is no pose, or `q_start` is not n finite numbers.
+            ProblemError: `T_base_tool` is no pose, `q_start` is not n finite numbers, or `deadline_s` is no time.
         """
         clock = Clock()
-        T, q = checked_target(T_base_tool), checked_start(self.robot, q_start)
+        T, q, deadline_s = checked_target(T_base_tool), checked_start(self.robot, q_start), checked_deadline(deadline_s)
         seed = int(seed) or int(settings.seed) or int(np.random.default_rng().integers(1, 2**31 - 1))
         counts: dict[str, int] = {}
         iterations = [0]

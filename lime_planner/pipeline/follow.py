@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from lime_planner.checked import floats
 from lime_planner.errors import ProblemError
 from lime_planner.motion.trajectory import Trajectory
 from lime_planner.parameters import Settings
@@ -76,7 +77,7 @@ def follow(
         ProblemError: `waypoints` is no such array, or not finite.
     """
     clock = Clock()
-    path = np.ascontiguousarray(waypoints, dtype=np.float64)
+    path = floats("a path", waypoints)
     if path.ndim != 2 or len(path) < 2 or not np.isfinite(path).all():
         raise ProblemError(f"a path needs at least 2 finite waypoints, got an array of shape {path.shape}")
     figures: dict[str, Any] = {}

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
+from numbers import Real
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from lime_planner.checked import floats, shown
 from lime_planner.errors import ProblemError
 from lime_planner.robot.model import Robot
 from lime_planner.status import Status
@@ -65,7 +69,7 @@ def checked_start(robot: Robot, q: npt.ArrayLike) -> Array:
     Raises:
         ProblemError: not n finite numbers.
     """
-    values = np.ascontiguousarray(q, dtype=np.float64)
+    values = floats("the start", q)
     if values.shape != (robot.n,) or not np.isfinite(values).all():
         raise ProblemError(f"the start needs {robot.n} finite joint angles, got {values.tolist()}")
     return values
@@ -77,9 +81,22 @@ def checked_target(T_base_tool: npt.ArrayLike) -> Array:
     Raises:
         ProblemError: not finite, of another shape, or no pose.
     """
-    T = np.array(T_base_tool, dtype=np.float64)
+    T = floats("the target", T_base_tool)
     if T.shape != (4, 4) or not np.isfinite(T).all():
         raise ProblemError(f"the target needs a finite 4 x 4 pose, got {T.tolist()}")
     if abs(np.linalg.det(T[:3, :3]) - 1.0) > 1e-3 or not np.allclose(T[3], [0, 0, 0, 1]):
         raise ProblemError("the target's upper left 3 x 3 block is not a rotation")
     return T
+
+
+def checked_deadline(deadline_s: Any) -> float | None:
+    """Return a time from now [s], which may be over, or None where there is no end.
+
+    Raises:
+        ProblemError: neither a number nor None; nan is no time either.
+    """
+    if deadline_s is None:
+        return None
+    if isinstance(deadline_s, bool) or not isinstance(deadline_s, Real) or math.isnan(deadline_s):
+        raise ProblemError(f"deadline_s must be a time in seconds or None, got {shown(deadline_s)}")
+    return None if deadline_s == math.inf else float(deadline_s)

@@ -12,7 +12,8 @@ import numpy.typing as npt
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from lime_planner.errors import SceneError
+from lime_planner.checked import finite_vector, floats, shown
+from lime_planner.errors import ProblemError, SceneError
 from lime_planner.scene.plant_surface import perpendicular, unit
 from lime_planner.scene.scene import Scene
 
@@ -23,6 +24,7 @@ CORRIDOR_RADIUS_M = 0.05  #: half the width of what a hand sweeps on its way in
 CORRIDOR_M = 0.20  #: how far out from the lime the way in is judged
 HIDDEN_REACH_M = 0.85  #: the target of a plant is chosen within this distance of the base if any lime is
 _DIRECTIONS = 48
+_SHORTEST_DIRECTION, _LONG_DIRECTION = 1e-6, 1e6
 
 
 def approach_directions(
@@ -37,12 +39,31 @@ def approach_directions(
 
 
 def grasp_pose(position: npt.ArrayLike, direction: npt.ArrayLike, roll_rad: float = 0.0) -> Float64:
-    """Return the pose (7,) at `position` (3,) [m] whose +z points along `direction` (3,), turned about it by `roll_rad`."""
-    z = unit(np.asarray(direction, dtype=np.float64))
+    """Return the pose (7,) at `position` (3,) [m] whose +z points along `direction` (3,), turned about it by `roll_rad`.
+
+    Args:
+        position: where the tool's origin is to be, finite.
+        direction: of the approach, of any length from 1e-6 on (it is normalised).
+        roll_rad: angle about the approach [rad].
+
+    Returns:
+        x y z qx qy qz qw [m, -].
+
+    Raises:
+        ProblemError: it names the argument, what was given and what is allowed.
+    """
+    place, way = finite_vector("position", position, 3), finite_vector("direction", direction, 3)
+    largest = float(np.abs(way).max())
+    if largest < _SHORTEST_DIRECTION:
+        raise ProblemError(f"direction must have a length of at least {_SHORTEST_DIRECTION:g}, got {shown(direction)}")
+    if floats("roll_rad", roll_rad).shape != () or not np.isfinite(roll_rad):
+        raise ProblemError(f"roll_rad must be a finite angle, got {shown(roll_rad)}")
+    # The squares of very large numbers overflow; others are left as they are, to the last bit.
+    z = unit(way / largest if largest > _LONG_DIRECTION else way)
     one, two = perpendicular(z)
     x = np.cos(roll_rad) * one + np.sin(roll_rad) * two
     quaternion = Rotation.from_matrix(np.stack([x, np.cross(z, x), z], axis=1)).as_quat()
-    return np.concatenate([np.asarray(position, dtype=np.float64), quaternion])
+    return np.concatenate([place, quaternion])
 
 
 def lime_targets(scene: Scene, rng: np.random.Generator, *, base_position: npt.ArrayLike = (0.0, 0.0, 0.0)) -> list[Float64]:
