@@ -33,7 +33,7 @@ def read_bag(
 
     Raises:
         SceneError: see `read_recording`.
-        ParameterError: more than one fruit label.
+        ParameterError: two classes share a label, or more than one fruit label.
     """
     from lime_planner.cli_plan import label_options
     from lime_planner.ros.arm_filter import make_arm_filter

@@ -136,12 +136,15 @@ def label_options(values: Mapping[str, Any]) -> dict[str, Any]:
     """Return what the parameters say about labels, as `load_scene` takes it.
 
     Raises:
-        ParameterError: more than one fruit label.
+        ParameterError: two classes share a label, or more than one fruit label.
     """
+    from lime_planner.scene.labels import fruit_in_force
+
     of = {name: values.get(name, NODE_PARAMETERS[name].default) for name in _OF_FILES}
-    fruit = of.pop("fruit_labels")
+    given = of.pop("fruit_labels")
+    fruit = fruit_in_force(of["leaf_labels"], of["stem_labels"], given, of["ignored_labels"])
     if len(fruit) > 1:
-        raise ParameterError(f"fruit_labels: a file or a recording can have one, got {fruit}")
+        raise ParameterError(f"fruit_labels: a file or a recording can have one, got {list(fruit)}")
     return {**of, "fruit_label": fruit[0] if fruit else None}
 
 
@@ -150,7 +153,7 @@ def read_scene(args: argparse.Namespace, values: dict[str, Any]) -> Scene:
 
     Raises:
         SceneError: see `load_scene`.
-        ParameterError: more than one fruit label.
+        ParameterError: see `label_options`.
     """
     from lime_planner.scene.files import load_scene
 

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from lime_planner import cli
+from lime_planner.cli_plan import label_options, read_parameters
 from lime_planner.motion.contract import violations
 from lime_planner.motion.trajectory import Trajectory
 from lime_planner.poses import pose_to_matrix
@@ -17,6 +18,7 @@ from lime_planner.robot.model import home, load_robot
 from lime_planner.scene.files import save_scene
 from lime_planner.scene.plant import generate_plant
 from lime_planner.scene.scene import Scene
+from lime_planner.viewer.saved import read_plan
 
 #: What --json holds at least.
 KEYS = {
@@ -152,6 +154,21 @@ def test_files_that_are_no_scenes(tmp_path: Path, capsys: pytest.CaptureFixture[
         assert run(tmp_path / name) == 1
         err = capsys.readouterr().err
         assert err.startswith("BAD_INPUT: ") and name in err and err.count("\n") == 1
+
+
+def test_labels_mean_the_same_as_to_the_node(scene: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A scan whose leaves are 2 has no fruit by default; a label of two classes is refused."""
+    points, target = np.concatenate([scene.leaf_points, scene.stem_points]), scene.target_pose
+    labels = np.repeat([2, 1], [len(scene.leaf_points), len(scene.stem_points)])
+    np.savez(tmp_path / "a.npz", points=points, labels=labels, target_pose=target)
+    values = read_parameters(cli.build_parser(["plan"]).parse_args(["plan", "a.npz", "--set", "leaf_labels=[2]"]))
+    assert label_options(values)["fruit_label"] is None
+    assert run(tmp_path / "a.npz", "--set", "leaf_labels=[2]", "--iterations", 300, "--seed", 4, "--json", tmp_path / "a.json") == 0
+    again = read_plan(tmp_path / "a.json").load_scene()
+    assert len(again.leaf_points) == len(scene.leaf_points) and not len(again.fruit_points)
+    capsys.readouterr()
+    assert run(tmp_path / "a.npz", "--set", "leaf_labels=[0,1]") == 1
+    assert capsys.readouterr().err == "BAD_INPUT: leaf_labels and stem_labels share 1; a class has one meaning\n"
 
 
 def test_unwritable_json_is_one_sentence(scene_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -35,7 +35,15 @@ def test_every_finite_point_is_in_one_class_and_nothing_unknown_is_permeable(lab
     points = np.arange(3.0 * len(labels)).reshape(-1, 3)
     if len(points) > 2:
         points[1, 2] = np.nan
-    scene = Scene.from_points(points, labels, leaf_labels=leaf, stem_labels=stem, fruit_label=fruit, ignored_labels=ignored)
+    classes = {"leaf_labels": leaf, "stem_labels": stem, "fruit_label": fruit, "ignored_labels": ignored}
+    if fruit == 2 and 2 in {*leaf, *stem, *ignored}:
+        fruit = None  # the default gives way
+    named = [*set(leaf), *set(stem), *set(ignored), *([] if fruit is None else [fruit])]
+    if len(set(named)) < len(named):
+        with pytest.raises(SceneError, match="a class has one meaning"):
+            Scene.from_points(points, labels, **classes)
+        return
+    scene = Scene.from_points(points, labels, **classes)
     counts = scene.counts
     assert counts["received"] == len(labels) == scene.n_points + counts["non_finite"] + counts["ignored"]
     by_x = {float(p[0]): label for p, label in zip(points, labels, strict=True)}
@@ -44,6 +52,16 @@ def test_every_finite_point_is_in_one_class_and_nothing_unknown_is_permeable(lab
         assert by_x[float(x)] not in {*stem, *ignored, fruit}
     for x in scene.stem_points[:, 0]:
         assert by_x[float(x)] in stem or by_x[float(x)] not in {*leaf, *ignored, fruit}
+
+
+def test_the_default_fruit_gives_way_and_other_labels_have_one_meaning():
+    scene = Scene.from_points(np.eye(3), [2, 1, 2], leaf_labels=[2])
+    assert (len(scene.leaf_points), len(scene.stem_points), len(scene.fruit_points)) == (2, 1, 0)
+    assert len(Scene.from_points(np.eye(3), [2, 1, 2]).fruit_points) == 2
+    with pytest.raises(SceneError, match=r"^leaf_labels and stem_labels share 1; a class has one meaning$"):
+        Scene.from_points(np.eye(3), [0, 1, 2], leaf_labels=[0, 1])
+    with pytest.raises(SceneError, match=r"^leaf_labels and fruit_label share 7;"):
+        Scene.from_points(np.eye(3), [0, 1, 7], leaf_labels=[7], fruit_label=7)
 
 
 def test_unknown_labels_and_stakes_are_impermeable_and_counted():

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import difflib
-import itertools
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -17,6 +16,7 @@ from lime_planner.errors import ParameterError
 from lime_planner.parameters import NODE_PARAMETERS, PARAMETERS, Parameter, Settings, settings_from, validate
 from lime_planner.ros.clouds import COST_FIELD
 from lime_planner.scene import point_cloud2
+from lime_planner.scene.labels import fruit_in_force
 
 _TABLE = {**PARAMETERS, **NODE_PARAMETERS}
 _ARRAYS = {int: RosParameter.Type.INTEGER_ARRAY, float: RosParameter.Type.DOUBLE_ARRAY, str: RosParameter.Type.STRING_ARRAY}
@@ -78,13 +78,8 @@ def snapshot_from(values: Mapping[str, Any]) -> Snapshot:
     checked = {name: validate(name, value) for name, value in values.items()}
     node = {name: checked.get(name, parameter.default) for name, parameter in NODE_PARAMETERS.items()}
     frozen: dict[str, Any] = {name: tuple(value) if isinstance(value, list) else value for name, value in node.items()}
-    if frozen["fruit_labels"] == tuple(NODE_PARAMETERS["fruit_labels"].default):  # who names a class himself need not know of it
-        named = {*frozen["leaf_labels"], *frozen["stem_labels"], *frozen["ignored_labels"]}
-        frozen["fruit_labels"] = tuple(label for label in frozen["fruit_labels"] if label not in named)
-    for first, second in itertools.combinations(("leaf_labels", "stem_labels", "fruit_labels", "ignored_labels"), 2):
-        both = sorted(set(frozen[first]) & set(frozen[second]))
-        if both:
-            raise ParameterError(f"{first} and {second} share {', '.join(map(str, both))}; a class has one meaning")
+    classes = {name: frozen[name] for name in ("leaf_labels", "stem_labels", "fruit_labels", "ignored_labels")}
+    frozen["fruit_labels"] = fruit_in_force(**classes)
     if frozen["label_field"] in ("", *point_cloud2.XYZ, COST_FIELD):
         raise ParameterError(f"label_field is {frozen['label_field']!r}; it must name a field that holds nothing but the class")
     return Snapshot(settings_from({name: value for name, value in checked.items() if name in PARAMETERS}), NodeSettings(**frozen))

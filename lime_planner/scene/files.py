@@ -67,11 +67,12 @@ def load_scene(
         default_frame: the frame of a file that names none.
         leaf_labels: see `Scene.from_points`, as the next three.
         stem_labels: the known impermeable labels.
-        fruit_label: the label of fruit.
+        fruit_label: the label of fruit; the default gives way to classes that name it.
         ignored_labels: the labels to drop.
 
     Raises:
-        SceneError: the file is missing, of another kind, truncated, empty, without a needed field, or a field does not fit.
+        SceneError: the file is missing, of another kind, truncated, empty, without a needed field, a field does not fit, or two
+            classes share a label.
     """
     path = Path(path)
     suffix = path.suffix.lower()

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from lime_planner.errors import SceneError
+from lime_planner.errors import ParameterError, SceneError
+from lime_planner.scene.labels import fruit_label_in_force
 
 #: Labels of the points in scene files and clouds; every other label is impermeable.
 LEAF, STEM, FRUIT = 0, 1, 2
@@ -162,8 +163,8 @@ class Scene:
         """Sort one labelled cloud into a scene.
 
         Points that are not finite are dropped and counted. A label that is none of leaf, fruit and ignored makes its points
-        impermeable whether it is listed in `stem_labels` or not; the unlisted ones are counted as `unknown_label`. A label that
-        is listed twice has the more careful meaning: stem before fruit before ignored before leaf.
+        impermeable whether it is listed in `stem_labels` or not; the unlisted ones are counted as `unknown_label`. A label has
+        one meaning; only the default of the fruit gives way to classes that name it.
 
         Args:
             points: (N, 3) [m], in `frame_id`.
@@ -180,7 +181,7 @@ class Scene:
             **truth: further fields of `Scene`, taken as they are.
 
         Raises:
-            SceneError: sizes differ, labels are no integers, a cost is negative or not finite.
+            SceneError: sizes differ, labels are no integers, two classes share one, a cost is negative or not finite.
         """
         points = _points("points", points)
         n = len(points)
@@ -188,10 +189,12 @@ class Scene:
         finite = _finite(points)
         stakes = _points("stake_points", () if stake_points is None else stake_points)
         finite_stakes = _finite(stakes)
-        stem = _any_of(labels, stem_labels)
-        fruit = np.zeros(n, dtype=bool) if fruit_label is None else (labels == fruit_label) & ~stem
-        ignored = _any_of(labels, ignored_labels) & ~stem & ~fruit
-        leaf = _any_of(labels, leaf_labels) & ~stem & ~fruit & ~ignored
+        try:
+            fruit_label = fruit_label_in_force(leaf_labels, stem_labels, fruit_label, ignored_labels)
+        except ParameterError as error:
+            raise SceneError(str(error)) from None
+        fruit = _any_of(labels, () if fruit_label is None else (fruit_label,))
+        stem, ignored, leaf = (_any_of(labels, wanted) for wanted in (stem_labels, ignored_labels, leaf_labels))
         unknown = ~(stem | fruit | ignored | leaf)
         counts = {
             "received": n + len(stakes),
