@@ -14,6 +14,7 @@ from arm_helpers import pipeline_of, plant, robot_named, scene_of, settings
 from lime_planner import cli
 from lime_planner.cli_view import _desk
 from lime_planner.errors import ParameterError
+from lime_planner.pipeline import PlanResult
 from lime_planner.poses import pose_to_matrix
 from lime_planner.robot.model import home
 from lime_planner.scene.files import save_scene
@@ -213,6 +214,18 @@ def test_a_plan_saved_in_python_comes_back(tmp_path: Path, shown: Shown, capsys:
     assert own.parameters["robot"] == "arm.urdf"
     assert cli.main(["view", str(scene), "--scene", str(scene)]) == 1
     assert "--scene is for a saved plan" in capsys.readouterr().err
+
+
+def test_a_refused_plan_comes_back_too(tmp_path: Path, shown: Shown, capsys: pytest.CaptureFixture[str]) -> None:
+    save_scene(tmp_path / "plant.npz", shown.scene)
+    start = home(robot_named()) + 0.1
+    refused = PlanResult(Status.NO_PATH, "NO_PATH: none", "lime_star", 1, T_base_tool=shown.result.T_base_tool, q_start=start)
+    plan = refused.save(tmp_path / "refused.json", scene_path="plant.npz")
+    again = read_plan(plan).result(robot_named())
+    assert again.status is Status.NO_PATH and again.waypoints.shape == (0, 6)
+    assert again.q_start == pytest.approx(start) and again.T_base_tool == pytest.approx(shown.result.T_base_tool)
+    assert cli.main(["animate", str(plan), "--out", str(tmp_path / "a.gif")]) == 1
+    assert capsys.readouterr().err.startswith("BAD_INPUT: the plan has no path to animate: NO_PATH: none")
 
 
 def test_video(tmp_path: Path, shown: Shown) -> None:

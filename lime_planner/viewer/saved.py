@@ -88,7 +88,8 @@ class SavedPlan:
             ParameterError: it was made for another arm.
         """
         figures = self.figures
-        waypoints = np.asarray(figures["waypoints"], dtype=np.float64).reshape(len(figures["waypoints"]), -1)
+        waypoints = np.asarray(figures["waypoints"], dtype=np.float64)
+        waypoints = waypoints.reshape(len(waypoints), -1 if len(waypoints) else robot.n)  # refused plans are shown too
         if len(waypoints) and waypoints.shape[1] != robot.n:
             raise ParameterError(f"{self.path}: was made for an arm of {waypoints.shape[1]} joints; {robot.name} has {robot.n}")
         numbers: dict[str, Any] = {name: float("nan") if figures.get(name) is None else float(figures[name]) for name in NUMBERS}
