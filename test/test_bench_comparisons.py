@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import json
 import math
+import time
 
 import numpy as np
 import pytest
@@ -17,7 +18,7 @@ from lime_planner.experiments.comparison import Comparison, Run, carry_out, load
 from lime_planner.experiments.comparison_figures import _curves, bands
 from lime_planner.experiments.compiled_checks import CompiledChecks
 from lime_planner.experiments.isolated import run_isolated
-from lime_planner.experiments.peers_search import GRIDS, candidates, choose
+from lime_planner.experiments.peers_search import FINER, GRIDS, candidates, choose, finer_candidates, search_runs
 from lime_planner.experiments.problem_sets import choose_problems, plant_specs
 from lime_planner.experiments.problems import Problem, build_problem
 
@@ -144,7 +145,19 @@ def test_settings_of_peers_are_chosen_by_cost_over_all_problems():
     kept = load_settings()
     assert kept.keys() >= GRIDS.keys()
     for method, settings in kept.items():
-        assert settings.keys() <= GRIDS[method].keys()
+        assert settings.keys() <= GRIDS[method].keys() | FINER.get(method, {}).keys()
+
+
+def test_finer_settings_change_one_thing_at_a_time(problem):
+    for method in FINER:
+        best = candidates(method)[0]
+        finer = finer_candidates(method, best)
+        assert method == "pyroboplan" or {"simplify_share": 0.0}.items() <= finer[0].items()  # without the simplifier is a choice
+        for one in finer:
+            assert len({*one.items()} - {*best.items()}) == 1
+    assert finer_candidates("ompl_rrt_connect", {"range": 3.0}) == []
+    runs = search_runs("ompl_rrt_star", [{"range": 1.0}, {"range": 2.0}], [problem.spec], 2, 1.0, "cpu")
+    assert [(run.seed, dict(run.settings)["range"]) for run in runs] == [(1, 1.0), (2, 1.0), (1, 2.0), (2, 2.0)]
 
 
 def test_ompl_gives_valid_paths_and_keeps_improving(problem):
@@ -165,6 +178,61 @@ def test_ompl_gives_valid_paths_and_keeps_improving(problem):
             np.testing.assert_allclose(path[0], problem.start, atol=1e-6)
             assert np.abs(problem.goals.configurations - path[-1]).max(axis=1).min() < 1e-6
             assert record["cost"] == pytest.approx(record["curve"][-1][2], rel=1e-6)
+
+
+def _simplified(problem, method, share):
+    from lime_planner.experiments import peers_ompl, peers_simplifier
+
+    spent, plain = [0.0], peers_simplifier.shorten
+
+    def timed(*values):
+        began_s = time.thread_time()
+        plain(*values)
+        spent[0] += time.thread_time() - began_s
+
+    peers_simplifier.shorten = timed
+    settings = {name: value for name, value in load_settings()[f"ompl_{method}"].items() if not name.startswith("simplify_")}
+    settings |= {"simplify_share": share}
+    return peers_ompl.run_ompl(problem, method, 3, 0.6, settings, clock="cpu"), spent[0]
+
+
+@pytest.mark.parametrize("method", ["rrt_star", "informed_rrt_star", "bit_star"])
+def test_ompl_simplifies_paths_as_they_come_and_in_its_own_time(problem, method):
+    pytest.importorskip("ompl", reason="OMPL is not installed: pip install 'lime_planner[bench]'")
+    with_it, spent_s = run_isolated(_simplified, problem, method, 0.5, timeout_s=120.0)
+    without, none_s = run_isolated(_simplified, problem, method, 0.0, timeout_s=120.0)
+    assert none_s == 0.0 < spent_s < 0.6 * with_it["spent_s"]
+    assert 0.6 <= with_it["spent_s"] < 0.8
+    assert with_it["cost"] == pytest.approx(with_it["curve"][-1][2], rel=1e-6)
+    assert problem.cost(np.array(with_it["path"])) == pytest.approx(with_it["cost"], rel=1e-4)
+    assert len(with_it["curve"]) > len(without["curve"])
+    assert 0.0 < with_it["compiled_share"] < with_it["callback_share"] <= 1.0
+
+
+def _a_straight_way(problem):
+    from lime_planner.experiments import peers_ompl
+
+    setup = peers_ompl._Setup(problem)
+    goal = setup.state(problem.start + 0.01)
+    start = setup.state(problem.start)
+    path = peers_ompl.og.PathGeometric(setup.information)
+    path.append(start)
+    path.append(goal)
+    simplifier = peers_ompl.og.PathSimplifier(setup.information, setup.goal, setup.objective)
+    peers_ompl.shorten(simplifier, path, 0.4)
+    rng = np.random.default_rng(0)
+    above = []
+    for _ in range(300):
+        a = problem.start + rng.normal(0.0, 0.1, 6)
+        ends = setup.state(a), setup.state(a + rng.normal(0.0, 0.1, 6))
+        above.append(setup.objective.motionCost(*ends).value() >= setup.objective.motionCostHeuristic(*ends).value())
+    return path.getStateCount(), all(above)
+
+
+def test_ompl_may_bend_a_single_edge_and_no_bound_is_above_a_cost(problem):
+    pytest.importorskip("ompl", reason="OMPL is not installed: pip install 'lime_planner[bench]'")
+    states, above = run_isolated(_a_straight_way, problem, timeout_s=120.0)
+    assert states >= 3 and above
 
 
 def _heuristics(problem):

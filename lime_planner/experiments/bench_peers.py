@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -80,7 +81,8 @@ def _available(wanted: list[str] | None) -> list[str]:
 def run_search(args: argparse.Namespace) -> int:
     """Search for the peers' settings and write `peer_settings.json`."""
     from lime_planner.experiments.collection import Plan, collect
-    from lime_planner.experiments.peers_search import GRIDS, carry_out_search, choose, search_runs
+    from lime_planner.experiments.comparison import Run
+    from lime_planner.experiments.peers_search import GRIDS, candidates, carry_out_search, choose, finer_candidates, search_runs
     from lime_planner.experiments.problem_sets import choose_problems, plant_specs
     from lime_planner.experiments.runner import default_jobs
     from lime_planner.experiments.timing import machine
@@ -90,24 +92,30 @@ def run_search(args: argparse.Namespace) -> int:
     plants = args.plants or list(SEARCH_PLANTS)
     problems = choose_problems(plant_specs(plants), min(args.targets, 6))[0]
     methods = [m for m in _available(args.methods) if m in GRIDS]
-    runs = [run for method in methods for run in search_runs(method, problems, seconds, args.clock)]
-    jobs = args.jobs or default_jobs()
-    print(
-        f"{len(runs)} runs of {seconds:g} s: about {len(runs) * (seconds + 1.5) / 60 / jobs:.0f} min with {jobs} at a time.",
-        file=sys.stderr,
-    )
-    plan = Plan(
-        name="peer settings",
-        description={"seconds": seconds, "clock": args.clock, "plants": plants},
-        tasks=runs,
-        run=carry_out_search,
-        key_of_task=lambda r: (r.spec.key, r.method, str(sorted(r.settings))),
-        key_of_record=lambda r: (r["problem"], r["method"], str(sorted(r["settings"].items()))),
-        extra={"machine": machine(), "problems": [spec.to_dict() for spec in problems]},
-    )
+    seeds, jobs = min(args.seeds, 2), args.jobs or default_jobs()
+    path = args.out / "results.json"
     make_folder(args.out)
-    results, complete = collect(plan, args.out / "results.json", jobs=jobs, resume=args.resume, scheduler=args.scheduler)
-    found = {method: choose(method, results["trials"], seconds) for method in methods}
+
+    def search(settings: Mapping[str, Sequence[Mapping[str, Any]]], resume: bool) -> tuple[dict[str, Any], bool]:
+        runs = [run for m in methods for run in search_runs(m, settings[m], problems, seeds, seconds, args.clock)]
+        minutes = len(runs) * (seconds + 1.5) / 60 / jobs
+        print(f"{len(runs)} runs of {seconds:g} s: about {minutes:.0f} min with {jobs} at a time.", file=sys.stderr)
+        plan: Plan[Run] = Plan(
+            name="peer settings",
+            description={"seconds": seconds, "clock": args.clock, "plants": plants},
+            tasks=runs,
+            run=carry_out_search,
+            key_of_task=lambda r: (r.spec.key, r.method, r.seed, str(sorted(r.settings))),
+            key_of_record=lambda r: (r["problem"], r["method"], r["seed"], str(sorted(r["settings"].items()))),
+            extra={"machine": machine(), "problems": [spec.to_dict() for spec in problems]},
+        )
+        results, complete = collect(plan, path, jobs=jobs, resume=resume, scheduler=args.scheduler)
+        return {method: choose(method, results["trials"], seconds) | {"seeds": seeds} for method in methods}, complete
+
+    grids = {method: candidates(method) for method in methods}
+    found, complete = search(grids, args.resume)
+    if complete:  # what the grid left is kept, so that only the rest is run
+        found, complete = search({m: [*grids[m], *finer_candidates(m, found[m]["settings"])] for m in methods}, True)
     path = write_json(
         args.out / "peer_settings.json",
         {"seconds": seconds, "clock": args.clock, "plants": plants, "problems": [s.key for s in problems], "methods": found},

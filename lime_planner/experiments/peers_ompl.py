@@ -11,6 +11,8 @@ What decides whether OMPL gets a fair chance from Python (2.0.1):
 - An edge that OMPL asks about twice, once for its cost and once for its validity, is evaluated once. RRT-Connect's trees leave leaves
   out of account, which is cheaper; only the few edges of a path that they find are evaluated again, for its cost.
 - Reading the clock in every turn of a planner's loop costs more than many such turns: it is read every half millisecond.
+- OMPL's path simplifier, under our cost, shortens paths faster than most planners rewire them. Each planner may have it: RRT-Connect after
+  each path, the optimising ones for a share of their time (`peers_simplifier`).
 """
 
 from __future__ import annotations
@@ -30,6 +32,7 @@ from ompl import util as ou
 from lime_planner.errors import ParameterError
 from lime_planner.experiments.peers_callbacks import Callbacks, stopping
 from lime_planner.experiments.peers_dispatch import counted, dispatch_times
+from lime_planner.experiments.peers_simplifier import Simplification, shorten
 from lime_planner.experiments.planner_runs import CLOCKS, Curve, record
 from lime_planner.experiments.problems import Problem
 
@@ -37,6 +40,10 @@ Array = npt.NDArray[np.float64]
 
 #: How much of the time may be credited at most, lest a calibration on a busy machine gives a planner time without end.
 _MOST_CREDIT = 0.7
+
+#: By which edges cost more than they do. Rounding puts many an ulp below their length, and where a bound is above the cost, BIT* prunes
+#: what its own path is made of, and crashes.
+_ABOVE_ROUNDING = 1.0 + 1e-9
 
 OMPL_METHODS = ("rrt_star", "informed_rrt_star", "bit_star", "rrt_connect")
 
@@ -63,7 +70,7 @@ def _objective(information: Any, callbacks: Callbacks, length: Callable[[Any, An
     edge, make = callbacks.edge, ob.Cost
 
     def motion_cost(self: Any, a: Any, b: Any) -> Any:
-        return make(edge(a, b))
+        return make(edge(a, b) * _ABOVE_ROUNDING)
 
     heuristic = staticmethod(length)
     methods = {"motionCost": motion_cost, "motionCostHeuristic": heuristic, "motionCostBestEstimate": heuristic}
@@ -141,13 +148,23 @@ def _quiet() -> Iterator[None]:
     yield
 
 
-def _optimise(setup: _Setup, method: str, settings: Mapping[str, Any], over: Callable[[], bool], note: Callable[[float], None]) -> Any:
-    """Run an optimising planner until `over`; `note` is told the best cost now and then. The path or None."""
+def _optimise(
+    setup: _Setup,
+    method: str,
+    settings: Mapping[str, Any],
+    over: Callable[[], bool],
+    note: Callable[[float], None],
+    spent: Callable[[], float],
+) -> Array | None:
+    """Run an optimising planner with the simplifier beside it until `over`; `note` is told the best cost now and then. The best path."""
     definition = setup.definition()
-    planner = _planner(setup, method, settings)
+    planner = _planner(setup, method, {k: v for k, v in settings.items() if not k.startswith("simplify_")})
     planner.setProblemDefinition(definition)
     planner.setup()
-    noted = math.inf
+    simplification = Simplification(setup.information, setup.goal, setup.objective, setup.callbacks, settings, spent, note)
+    if simplification.share > 0.0 and method == "bit_star":
+        planner.setStopOnSolnImprovement(True)  # exactly then, not some iterations later
+    noted, offered = math.inf, math.inf
 
     def watch() -> None:
         nonlocal noted
@@ -155,10 +172,22 @@ def _optimise(setup: _Setup, method: str, settings: Mapping[str, Any], over: Cal
         if cost < noted:
             noted = cost
             note(cost)
+        simplification.go_on()
 
-    planner.solve(ob.PlannerTerminationCondition(stopping(setup.callbacks, over, watch)))
-    note(float(planner.bestCost().value()))
-    return setup.rows(definition.getSolutionPath()) if definition.hasExactSolution() else None
+    def pause() -> bool:
+        return over() or (simplification.share > 0.0 and method != "bit_star" and noted < offered)
+
+    while True:
+        planner.solve(ob.PlannerTerminationCondition(stopping(setup.callbacks, pause, watch)))  # goes on where it was
+        watch()
+        if over() or not noted < offered:  # or the planner has nothing left to find
+            break
+        offered = noted
+        if definition.hasExactSolution():
+            simplification.offer(definition.getSolutionPath())  # there is none to be had while the planner runs
+    if definition.hasExactSolution() and noted < simplification.cost:
+        return setup.rows(definition.getSolutionPath())
+    return None if simplification.path is None else setup.rows(simplification.path)
 
 
 def _connect_and_shorten(
@@ -193,8 +222,7 @@ def _connect_and_shorten(
                 break
             if longest and turn == 0:
                 simplifier.simplify(path, condition, True)
-            simplifier.partialShortcutPath(path)
-            simplifier.perturbPath(path, share)
+            shorten(simplifier, path, share)
     return None if best is None else best[1]
 
 
@@ -208,7 +236,8 @@ def run_ompl(
         method: of `OMPL_METHODS`.
         seed: of OMPL's generators, at least 1.
         seconds: its budget.
-        settings: OMPL's parameters by name, and `shorten_...` for the shortcutting after RRT-Connect.
+        settings: OMPL's parameters by name, `shorten_...` for the shortcutting after RRT-Connect, and `simplify_...` for that beside the
+            others: its share of the time (0: none), its rounds on each new path, its step.
         clock: `wall` or `cpu`.
         min_checks: go on until so many configurations are checked, at most four times as long.
 
@@ -245,7 +274,7 @@ def run_ompl(
     if method == "rrt_connect":
         path = _connect_and_shorten(setup, settings, over, lambda _, cost: note(cost))
     else:
-        path = _optimise(setup, method, settings, over, note)
+        path = _optimise(setup, method, settings, over, note, spent)
     spent_s, wall_s, cpu_s = spent(), time.perf_counter() - wall_s, time.thread_time() - cpu_s
     heuristics = setup.length.cache_info().misses
     # What was timed on the way holds other processes' turns, as all of the wall time does; what is counted and calibrated does not.

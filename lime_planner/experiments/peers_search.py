@@ -13,23 +13,38 @@ from lime_planner.experiments.comparison import Run, carry_out
 from lime_planner.experiments.planner_runs import cost_at
 from lime_planner.experiments.problems import ProblemSpec
 
-#: Values that are tried for each setting of a peer, every combination; what an earlier search found best is no end of a row.
+#: Values that are tried for each setting of a peer, every combination. The rows of the optimising planners and of pyroboplan are what wider
+#: searches without the simplifier left: shorter ranges, other goal biases and nearest neighbours by number were worse there.
 GRIDS: dict[str, dict[str, Sequence[Any]]] = {
-    "ompl_rrt_star": {"range": (0.8, 2.0, 5.0, 10.0), "goal_bias": (0.05, 0.2, 0.5), "k_nearest": (False, True)},
+    "ompl_rrt_star": {"range": (5.0, 10.0), "goal_bias": (0.02, 0.05, 0.2), "k_nearest": (False,), "simplify_share": (0.5,)},
     "ompl_informed_rrt_star": {
-        "range": (0.8, 2.0, 5.0, 10.0),
-        "goal_bias": (0.05, 0.2, 0.5),
+        "range": (5.0,),
+        "goal_bias": (0.5, 0.8),
         "k_nearest": (False,),
-        "rewire_factor": (0.5, 1.1, 2.0),
+        "rewire_factor": (1.1, 2.0, 3.0),
+        "simplify_share": (0.5,),
     },
-    "ompl_bit_star": {"samples_per_batch": (50, 100, 300, 1000, 3000), "use_k_nearest": (True, False), "rewire_factor": (0.7, 1.1, 1.5)},
+    "ompl_bit_star": {
+        "samples_per_batch": (300, 1000),
+        "use_k_nearest": (False,),
+        "rewire_factor": (1.1, 1.5, 2.0),
+        "simplify_share": (0.5,),
+    },
     "ompl_rrt_connect": {
         "range": (1.0, 3.0, 10.0),
         "shorten_rounds": (3, 10, 30),
         "shorten_step": (0.1, 0.4, 1.0),
         "shorten_max": (False, True),  # OMPL's whole simplification before the rounds
     },
-    "pyroboplan": {"max_connection_dist": (0.3, 1.0, 3.0, 10.0), "shorten_iterations": (30, 100, 400)},
+    "pyroboplan": {"max_connection_dist": (3.0,), "shorten_iterations": (10, 30, 100)},
+}
+_SIMPLIFY: dict[str, Sequence[Any]] = {"simplify_share": (0.0, 0.25, 0.8), "simplify_rounds": (15,)}
+#: Values that are tried after that, one setting at a time, with the others as they were best: ends of rows go on here.
+FINER: dict[str, dict[str, Sequence[Any]]] = {
+    "ompl_rrt_star": {**_SIMPLIFY, "goal_bias": (0.005,)},
+    "ompl_informed_rrt_star": {**_SIMPLIFY, "goal_bias": (0.95,), "rewire_factor": (0.8,)},
+    "ompl_bit_star": {**_SIMPLIFY, "rewire_factor": (0.9,)},
+    "pyroboplan": {"shorten_iterations": (3,)},
 }
 FAILURE = 100.0  # a run without a path counts as so many times the best cost
 
@@ -40,11 +55,21 @@ def candidates(method: str) -> list[dict[str, Any]]:
     return [dict(zip(grid, values, strict=True)) for values in itertools.product(*grid.values())]
 
 
-def search_runs(method: str, problems: Sequence[ProblemSpec], seconds: float, clock: str) -> list[Run]:
-    """The runs of one method's search."""
+def finer_candidates(method: str, best: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """The best of a method's grid with one setting changed at a time."""
+    return [{**best, name: value} for name, values in FINER.get(method, {}).items() for value in values]
+
+
+def search_runs(
+    method: str, settings: Sequence[Mapping[str, Any]], problems: Sequence[ProblemSpec], seeds: int, seconds: float, clock: str
+) -> list[Run]:
+    """The runs of a method with each of some settings."""
     marks = (seconds / 10.0, seconds)
     return [
-        Run(spec, method, 1, seconds, marks, clock, tuple(sorted(settings.items()))) for settings in candidates(method) for spec in problems
+        Run(spec, method, 1 + k, seconds, marks, clock, tuple(sorted(one.items())))
+        for one in settings
+        for spec in problems
+        for k in range(seeds)
     ]
 
 
