@@ -92,7 +92,7 @@ def run_search(args: argparse.Namespace) -> int:
     plants = args.plants or list(SEARCH_PLANTS)
     problems = choose_problems(plant_specs(plants), min(args.targets, 6))[0]
     methods = [m for m in _available(args.methods) if m in GRIDS]
-    seeds, jobs = min(args.seeds, 2), args.jobs or default_jobs()
+    seeds, jobs = min(args.seeds, 3), args.jobs or default_jobs()
     path = args.out / "results.json"
     make_folder(args.out)
 

@@ -237,7 +237,7 @@ def run_ompl(
         seed: of OMPL's generators, at least 1.
         seconds: its budget.
         settings: OMPL's parameters by name, `shorten_...` for the shortcutting after RRT-Connect, and `simplify_...` for that beside the
-            others: its share of the time (0: none), its rounds on each new path, its step.
+            others: its share of the time (0: none), the rounds without gain that end its work on a path, its step.
         clock: `wall` or `cpu`.
         min_checks: go on until so many configurations are checked, at most four times as long.
 

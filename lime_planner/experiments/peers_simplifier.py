@@ -11,6 +11,8 @@ from ompl import geometric as og
 
 from lime_planner.experiments.peers_callbacks import Callbacks
 
+_GAIN = 0.999  # a round that lowers the cost by less brings nothing
+
 
 def shorten(simplifier: Any, path: Any, step: float) -> None:
     """One round of OMPL's simplifier, in place."""
@@ -23,7 +25,8 @@ def shorten(simplifier: Any, path: Any, step: float) -> None:
 class Simplification:
     """OMPL's path simplifier under our cost beside an optimising planner, for a share of its time and in its own time.
 
-    Each path that the planner offers gets some rounds, whether or not it is the best of all. What is left of the share goes into that one.
+    Each path that the planner offers is simplified until that brings no more, whether or not it is the best of all: a path that costs more
+    as the planner found it often ends lower. What is left of the share goes into the best one.
 
     Attributes:
         share: of the time, 0 for none.
@@ -43,18 +46,19 @@ class Simplification:
         self.share = float(settings.get("simplify_share", 0.0))
         self.cost = math.inf
         self.path: Any = None
-        self._rounds = int(settings.get("simplify_rounds", 5))
+        self._rounds = int(settings.get("simplify_rounds", 10))
         self._step = float(settings.get("simplify_step", 0.4))
         self._callbacks, self._objective = callbacks, objective
         self._simplifier = og.PathSimplifier(information, goal, objective)
         self._spent, self._note, self._used_s = spent, note, 0.0
-        self._left = 0
-        self._own: Any = None
+        self._next: Any = None  # the planner's newest path, not begun
+        self._own: Any = None  # what is worked on
+        self._low, self._idle = math.inf, 0
 
     def offer(self, path: Any) -> None:
         """Take a path of the planner's; OMPL simplifies in place, so a copy of it."""
-        self._left, self._own = self._rounds, og.PathGeometric(path)
-        self._keep(float(path.cost(self._objective).value()))
+        self._next = og.PathGeometric(path)
+        self._keep(path, float(path.cost(self._objective).value()))
 
     def go_on(self) -> None:
         """One round, if it is the simplifier's turn; called where OMPL asks whether to stop, whose time is counted as a callback's."""
@@ -62,17 +66,19 @@ class Simplification:
         if self.path is None or self._used_s >= self.share * began_s:
             return
         if self._own is None:
-            self._own = og.PathGeometric(self.path)
+            self._own = self._next if self._next is not None else og.PathGeometric(self.path)
+            self._next, self._low, self._idle = None, math.inf, 0
         shorten(self._simplifier, self._own, self._step)
         cost = float(self._own.cost(self._objective).value())
-        self._keep(cost)
-        self._left -= 1
-        if self._left <= 0 and cost > self.cost:
-            self._own = None  # on with the best one
+        self._keep(self._own, cost)
+        self._idle = 0 if cost < self._low * _GAIN else self._idle + 1
+        self._low = min(self._low, cost)
+        if self._idle >= self._rounds:
+            self._own = None
         self._used_s += self._spent() - began_s
         self._callbacks.callback_s -= time.perf_counter() - wall_s  # the rounds are OMPL's, their callbacks have been counted
 
-    def _keep(self, cost: float) -> None:
+    def _keep(self, path: Any, cost: float) -> None:
         if cost < self.cost:
-            self.cost, self.path = cost, og.PathGeometric(self._own)
+            self.cost, self.path = cost, og.PathGeometric(path)
             self._note(cost)
