@@ -30,6 +30,7 @@ OWN_METHODS = ("lime_star", "apf_rrt_star", "apf_rrt_star_integral", "rrt_star",
 
 
 _READ_EVERY_S = 0.0005
+_DIGITS = 6  # of a cost, behind the point
 
 
 def seldom(clock: Callable[[], float]) -> Callable[[], float]:
@@ -56,13 +57,13 @@ class Curve:
     points: list[tuple[float, int, float]] = field(default_factory=list)
 
     def add(self, time_s: float, checks: int, cost: float) -> None:
-        """Note a path's cost if it is the best so far."""
-        if math.isfinite(cost) and (not self.points or cost < self.points[-1][2]):
+        """Note a path's cost if it is the best so far, in the digits that are kept."""
+        if math.isfinite(cost) and (not self.points or round(cost, _DIGITS) < round(self.points[-1][2], _DIGITS)):
             self.points.append((float(time_s), int(checks), float(cost)))
 
     def to_list(self) -> list[list[float]]:
         """JSON-ready."""
-        return [[round(t, 5), n, round(c, 6)] for t, n, c in self.points]
+        return [[round(t, 5), n, round(c, _DIGITS)] for t, n, c in self.points]
 
 
 def cost_at(curve: Sequence[Sequence[float]], mark: float, column: int = 0) -> float:
