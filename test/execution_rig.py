@@ -72,3 +72,10 @@ def refusal_of(call: Callable[[], object]) -> tuple[Status, str]:
     with pytest.raises(Refusal) as caught:
         call()
     return caught.value.status, str(caught.value)
+
+
+@pytest.fixture(name="rig")
+def rested() -> Rig:
+    made = Rig()
+    made.rest(START)
+    return made

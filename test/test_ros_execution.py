@@ -8,7 +8,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from execution_rig import Rig, refusal_of, snapshot
+from execution_rig import Rig, refusal_of, rested, snapshot  # noqa: F401  (a fixture)
 from ros_fakes import JOINTS, START, result
 
 from lime_planner.ros.motions import Motion
@@ -17,13 +17,6 @@ from lime_planner.ros.watch import StemWatch
 from lime_planner.status import Status
 
 pytestmark = pytest.mark.alone
-
-
-@pytest.fixture
-def rig() -> Rig:
-    rig = Rig()
-    rig.rest(START)
-    return rig
 
 
 def test_a_motion_that_is_followed_succeeds(rig: Rig) -> None:

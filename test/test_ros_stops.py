@@ -7,7 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from execution_rig import Rig, snapshot
+from execution_rig import Rig, rested, snapshot  # noqa: F401  (a fixture)
 from ros_fakes import START, trajectory
 from scipy.signal import lfilter
 
@@ -22,13 +22,6 @@ from lime_planner.ros.stops import make_stop
 from lime_planner.status import Status
 
 pytestmark = pytest.mark.alone
-
-
-@pytest.fixture
-def rig() -> Rig:
-    rig = Rig()
-    rig.rest(START)
-    return rig
 
 
 @pytest.mark.parametrize("controller", ["jtc", "kinova"])

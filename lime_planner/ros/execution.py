@@ -160,8 +160,16 @@ class Execution:
             if not commit():
                 return None
             self._publish(message)
-            more |= {"simulated": self._simulated, "simulated_start_s": self._simulated()}
-            self._motion = self._last = Motion(plan_id, result, trajectory, time.monotonic(), snapshot, **more)
+            self._motion = self._last = Motion(
+                plan_id,
+                result,
+                trajectory,
+                time.monotonic(),
+                snapshot,
+                simulated=self._simulated,
+                simulated_start_s=self._simulated(),
+                **more,
+            )
             self._restless = None
             return self._motion
 
