@@ -81,6 +81,15 @@ def clamp(space: Any, q: Any) -> None:
         q[k] = min(max(q[k], space.lower[k]), space.upper[k])
 
 
+@inline_kernel
+def inside(space: Any, q: Any) -> bool:
+    """Tell whether q, (n,), lies in the sampling box."""
+    for k in range(q.shape[0]):
+        if not space.lower[k] <= q[k] <= space.upper[k]:
+            return False
+    return True
+
+
 @overload(distance)
 def _euclidean(space: Any, a: Any, b: Any) -> Any:
     # One metric serves every space here; a space with another one registers its own overload for its type before use.

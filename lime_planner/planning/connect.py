@@ -8,8 +8,9 @@ import numpy as np
 import numpy.typing as npt
 
 from lime_planner.jit import kernel
+from lime_planner.planning.ellipsoid import draw_between
 from lime_planner.planning.random import uniform
-from lime_planner.space import distance, edge, evaluate
+from lime_planner.space import clamp, distance, edge, evaluate
 
 Array = npt.NDArray[np.float64]
 
@@ -83,7 +84,7 @@ def _extend(space: Any, bush: Any, q: Any, step: float, solid: bool, trial: Any)
 
 @kernel
 def connect(
-    space: Any, from_start: Any, from_goal: Any, samples: int, step: float, solid: bool, random: Any, trial: Any, path: Any
+    space: Any, from_start: Any, from_goal: Any, samples: int, step: float, bound: float, solid: bool, random: Any, trial: Any, path: Any
 ) -> tuple[int, int]:
     """Grow both trees until they meet.
 
@@ -92,6 +93,7 @@ def connect(
         from_start, from_goal: the trees.
         samples: how many random configurations to draw at most.
         step: longest edge.
+        bound: paths longer than this are not wanted; samples are drawn where shorter ones may pass.
         solid: edges must not touch leaves; otherwise they may, and leaves should not matter in the space, which is faster.
         random: generator state.
         trial: (2, n) scratch.
@@ -105,8 +107,11 @@ def connect(
         forward = drawn % 2 == 0
         grown = from_start if forward else from_goal
         other = from_goal if forward else from_start
-        for k in range(n):
-            trial[0, k] = space.lower[k] + uniform(random) * (space.upper[k] - space.lower[k])
+        if draw_between(space, from_start.rows[0], from_goal.rows[0], bound, random, trial[0]) > 0.0:
+            clamp(space, trial[0])
+        else:
+            for k in range(n):
+                trial[0, k] = space.lower[k] + uniform(random) * (space.upper[k] - space.lower[k])
         new = _extend(space, grown, trial[0], step, solid, trial[1])
         if new < 0:
             continue

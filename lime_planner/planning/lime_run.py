@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from lime_planner.jit import kernel
 from lime_planner.planning import connect as trees
 from lime_planner.planning import escape
 from lime_planner.planning import polish as local
@@ -18,7 +17,9 @@ from lime_planner.planning import roadmap as graph
 from lime_planner.planning.detour import Detours
 from lime_planner.planning.lime_options import LimeOptions
 from lime_planner.planning.random import random_state
-from lime_planner.space import edge, evaluate
+from lime_planner.planning.restart import Restarts
+from lime_planner.planning.single import line
+from lime_planner.planning.tracks import MAX_WAYPOINTS, copy_track, empty_track, load_track, near_tracks, new_tracks
 
 Array = npt.NDArray[np.float64]
 
@@ -31,19 +32,13 @@ _FIRST_TRIALS = 20  # ways out tried for each goal before the worse half is left
 _STAGES = 5
 _TRIALS_IN_ONE_GO = 20
 _SAMPLES_IN_ONE_GO = 25
+# Less gain than this in one round is none: a share of the track's cost, and a share of what it is behind the best.
+_STALE, _SLOW = 5e-5, 0.02
+_HOPELESS = 2.0  # times the cost of the worst track, above which a new path is not polished at all
+_FAIR = 40  # polishing trials of a new path before it is compared with the others
+_TOLERANCE, _FINER = 3e-4, 8  # of the polishing (`polish`), and how often it is halved for a path that does not get better any more
+_SAME, _COPIES = 10.0, 3  # least steps between two paths that are nearly the same, and how many of these may be tracks
 _TRIED = 6  # waypoints of the best path from which the end of a way out is tried to be reached
-
-
-@kernel
-def one(space: Any, q: Any) -> Any:
-    """Evaluate one configuration."""
-    return evaluate(space, q)
-
-
-@kernel
-def line(space: Any, a: Any, b: Any, weight: float, bound: float) -> Any:
-    """Evaluate one edge."""
-    return edge(space, a, b, weight, bound)
 
 
 class Run:
@@ -53,9 +48,10 @@ class Run:
         goals: (G, n) valid goals; goal_leaf: (G,) leaf intensity there.
         escapes: way out of each goal, the start's in the last place.
         tracks: paths being polished; the last place is for loading.
+        idle: (T,) rounds of polishing that brought a track next to nothing; halved: (T,) times that its tolerance was halved.
         joins: (G,) times that a goal's way out was tried to be reached.
         best_path, best_cost, best_segments: so far; (M - 1,) costs of the edges.
-        rounds: how many there were.
+        rounds: how many there were; spare: trials that polishing left for restarts.
         ended: what ended the run, None while it goes on.
     """
 
@@ -89,20 +85,22 @@ class Run:
         diagonal = float(np.linalg.norm(np.asarray(space.upper) - np.asarray(space.lower)))
         self.least, self.most = options.least_step * diagonal, options.most_step * diagonal
         self.stride = 0.15 * diagonal
+        self.same = _SAME * self.least
         self.road = graph.new_roadmap(2000, n)
-        self.tracks = local.new_tracks(options.tracks + 1, n)
+        self.tracks = new_tracks(options.tracks + 1, n)
         self.joins = np.zeros(len(goals))
+        self.idle, self.halved = np.zeros(options.tracks + 1), np.zeros(options.tracks + 1)
         self.escapes = escape.new_escapes(len(goals) + 1, n, self.least)
         self.from_start, self.from_goal = trees.new_bush(n), trees.new_bush(n)
-        self.path, self.trial, self.q = np.zeros((local.MAX_WAYPOINTS, n)), np.zeros((2, n)), np.zeros(n)
+        self.path, self.trial, self.q = np.zeros((MAX_WAYPOINTS, n)), np.zeros((2, n)), np.zeros(n)
         self.iterations = self.tries = 0
         self._budget, self._over = iterations, over
         self.best_cost = math.inf
         self.best_path: Array | None = None
         self.best_segments: Array = np.zeros(0)
         self.everywhere: Array = np.zeros((0, n + 1))  # no ball is closed
-        self.detours = Detours(n)
-        self.rounds = 0
+        self.detours, self.restarts = Detours(n), Restarts(len(goals))
+        self.rounds, self.spare = 0, 0.0
         self._rooted: tuple[bytes, bool] | None = None
         self.history: list[tuple[float, int, float]] = []
 
@@ -128,34 +126,50 @@ class Run:
             self.best_segments = self.tracks.segment[t, : self.tracks.size[t] - 1].copy()
             self.history.append((self.elapsed(), self.iterations, self.best_cost))
 
-    def adopt(self, count: int, *, instead: bool = False) -> int:
-        """Load the path in `self.path` into the worst track, if it is cheaper than that one, or instead of it; the track or -1."""
-        worst = int(np.argmax(self.tracks.cost[:-1]))
-        limit = math.inf if instead else float(self.tracks.cost[worst])
-        spare = self.options.tracks
-        if not local.load_track(self.space, self.tracks, spare, self.path, count, self.options.weight, self.most / 4, limit):
+    def adopt(self, count: int, *, trials: int = 0, instead: bool = False) -> int:
+        """Make the path in `self.path` a track, after some polishing trials; the track, or -1 where it is not worth it.
+
+        It replaces the worst if that is dearer, or anyway (`instead`); but where some tracks are nearly the same as it already, the dearest
+        of these: tracks that all are one path would be of no more use than one.
+        """
+        tracks, spare = self.tracks, self.options.tracks
+        worst = int(np.argmax(tracks.cost[:-1]))
+        limit = math.inf if instead else float(tracks.cost[worst]) * (_HOPELESS if trials else 1.0)
+        if not load_track(self.space, tracks, spare, self.path, count, self.options.weight, self.most / 4, limit):
             return -1
-        for name in ("points", "size", "segment", "step", "cost"):
-            array = getattr(self.tracks, name)
-            array[worst] = array[spare]
-        self.tracks.size[spare], self.tracks.cost[spare] = 0, np.inf
-        self.keep(worst)
-        return worst
+        self.halved[spare] = 0.0
+        self.keep(spare)
+        if trials and not self.over():
+            self.polish(spare, trials)
+        copies, dearest = near_tracks(self.space, tracks, spare, self.same)
+        place = worst if copies < _COPIES else dearest
+        if tracks.cost[spare] < tracks.cost[place] or (instead and not copies):
+            copy_track(tracks, spare, place)
+            self.idle[place] = self.halved[place] = 0.0
+        else:
+            place = -1
+        empty_track(tracks, spare)
+        return place
 
     def polish(self, t: int, trials: int) -> None:
         """Polish a track in slices short enough to be stopped between them: one trial may take 10 ms among leaves, or 10 µs."""
         trials = self.left(trials)
-        done, slice_ = 0, 4
+        o, before, done, slice_ = self.options, float(self.tracks.cost[t]), 0, 4
+        tolerance = _TOLERANCE / 2.0 ** self.halved[t]
         while done < trials:
             size = min(slice_, trials - done)
             began = time.monotonic()
-            local.polish(self.space, self.tracks, t, size, self.options.weight, self.least, self.most, self.random)
+            local.polish(self.space, self.tracks, t, size, o.weight, self.least, self.most, tolerance, self.random)
             self.iterations += size
             done += size
             share = _SLICE_S / max(time.monotonic() - began, 1e-6)
             slice_ = int(min(max(size * share, 1.0), 4.0 * size))
             if done < trials and self.over():
                 break
+        cost = float(self.tracks.cost[t])
+        stale = before - cost < max(_STALE * cost, _SLOW * (cost - self.best_cost))
+        self.idle[t] = self.idle[t] + 1.0 if stale else 0.0
+        self.halved[t] = min(self.halved[t] + float(stale), _FINER)
         self.keep(t)
 
     def goal_vertex(self, t: int) -> int:
@@ -179,25 +193,28 @@ class Run:
 
     def reach(self, goal: Array, samples: int) -> bool:
         """Try to reach a goal from the start by two trees that leave leaves out of account; polish what comes out a little."""
-        count = self._connect(self.leafless, self.start, goal, samples, solid=False)
+        count = self.connect(self.leafless, self.start, goal, samples, solid=False)
         if not count:
             return False
-        t = self.adopt(count)
-        if t >= 0 and not self.over():
-            self.polish(t, 40)
+        self.adopt(count, trials=_FAIR)
         return True
 
-    def _connect(self, space: Any, root: Array, goal: Array, samples: int, *, solid: bool) -> int:
-        """Write a path between two configurations into `self.path`; the number of waypoints, 0 without one."""
+    def connect(self, space: Any, root: Array, goal: Array, samples: int, *, solid: bool, bound: float = math.inf) -> int:
+        """Write a path between two configurations into `self.path`; the number of waypoints, 0 without one.
+
+        The start's tree is kept for the next goal, but where a path below a bound is asked for: it would give the same path again.
+        """
         rooted = (root.tobytes(), solid)
-        if rooted != self._rooted or self.from_start.size[0] > trees.CAPACITY // 2:  # otherwise the start's tree is kept
+        if math.isfinite(bound) or rooted != self._rooted or self.from_start.size[0] > trees.CAPACITY // 2:
             trees.plant(self.from_start, root)
             self._rooted = rooted
         trees.plant(self.from_goal, goal)
         while samples > 0 and not self.over():
             share = self.left(min(samples, _SAMPLES_IN_ONE_GO))  # short slices: a stop is heard in between
             stride = self.stride / 3.0 if solid else self.stride
-            count, drawn = trees.connect(space, self.from_start, self.from_goal, share, stride, solid, self.random, self.trial, self.path)
+            count, drawn = trees.connect(
+                space, self.from_start, self.from_goal, share, stride, bound, solid, self.random, self.trial, self.path
+            )
             self.iterations += drawn
             samples -= share
             if count:
@@ -286,21 +303,28 @@ class Run:
         samples = self.options.connect_samples * min(again + 1, _LONGEST) // 2
         count = self._from_best_path(end, cost)
         for solid in (True, False)[: 2 - min(again, 1)] if not count else ():
-            count = self._connect(self.space if solid else self.leafless, root, end, samples, solid=solid)
-            if count and self.start_leaf > 0.0 and count < local.MAX_WAYPOINTS:
-                self.path[1 : count + 1] = self.path[:count].copy()
-                self.path[0] = self.start
-                count += 1
+            count = self.connect(self.space if solid else self.leafless, root, end, samples, solid=solid)
+            if count:
+                count = self.prepend_start(count)
             if count or self.over():
                 break
-        if not count or self.over():
-            return
-        if cost > 0.0 and count < local.MAX_WAYPOINTS:
+        if count and not self.over():
+            self.adopt(self.append_goal(count, g), trials=_FAIR)
+
+    def prepend_start(self, count: int) -> int:
+        """Let the path in `self.path`, of `count` waypoints, begin with the start if it begins at its way out; the new number."""
+        if self.start_leaf > 0.0 and count < MAX_WAYPOINTS:
+            self.path[1 : count + 1] = self.path[:count].copy()
+            self.path[0] = self.start
+            count += 1
+        return count
+
+    def append_goal(self, count: int, g: int) -> int:
+        """Let the path in `self.path`, of `count` waypoints, end with goal g if it ends at its way out; the new number."""
+        if self.goal_leaf[g] > 0.0 and count < MAX_WAYPOINTS:
             self.path[count] = self.goals[g]
             count += 1
-        t = self.adopt(count)
-        if t >= 0 and not self.over():
-            self.polish(t, 40)
+        return count
 
     def _from_best_path(self, end: Array, cost: float) -> int:
         """Reach the end of a way out straight from a waypoint of the best path; the number of waypoints in `self.path`, or 0."""

@@ -1,15 +1,17 @@
 """The default planner: anytime and asymptotically optimal on J = ∫ (1 + w · leaf) ds, with stems certified along every edge.
 
-Four parts work in turn, each in compiled slices of a few milliseconds:
+Five parts work in turn, each in compiled slices of a few milliseconds:
 
 1. a straight line and two trees (`connect`) give a first path quickly;
 2. ways out of the leaves (`escape`) show which goals are cheap and from where; paths over them come next;
-3. local improvement (`polish`) drives each path down; the worst are given up (successive halving), because only polishing
-   shows which goal and which side of a branch is cheap;
+3. local improvement (`polish`) drives a few paths down side by side (`tracks`), the cheapest most, because only polishing shows which
+   goal and which side of a branch is cheap; few of them may be nearly the same;
 4. a roadmap that grows by batches (`roadmap`), sampled in the whole box, around the goals and around the best paths, is searched
    lazily; what it finds becomes a new path to polish. Uniform samples and k ~ log N neighbours make the whole asymptotically
-   optimal (as PRM*, Karaman and Frazzoli 2011). Now and then it is searched for a path through another gap (`detour`).
+   optimal (as PRM*, Karaman and Frazzoli 2011). Now and then it is searched for a path through another gap (`detour`);
+5. paths anew (`restart`), to the goals that promise most, in the time that polishing can do without.
 
+A short best path leaves only an ellipsoid of the box where better ones may pass; it is sampled instead (`ellipsoid`).
 A sample or a path that cannot lead below the best cost is pruned: the straight distance bounds every cost from below.
 """
 
@@ -25,33 +27,53 @@ import numpy.typing as npt
 
 from lime_planner.errors import ProblemError
 from lime_planner.jit import kernel
-from lime_planner.planning import polish as local
 from lime_planner.planning import roadmap as graph
+from lime_planner.planning.ellipsoid import draw_between
 from lime_planner.planning.lime_options import LimeOptions, LimeOutcome
-from lime_planner.planning.lime_run import Run, line, one
+from lime_planner.planning.lime_run import Run
 from lime_planner.planning.random import below, normal, uniform
-from lime_planner.space import clamp, distance, evaluate
+from lime_planner.planning.single import line, one
+from lime_planner.planning.tracks import MAX_WAYPOINTS
+from lime_planner.space import clamp, distance, evaluate, inside
 from lime_planner.status import Status
 
 __all__ = ["LimeOptions", "LimeOutcome", "plan_lime", "warm_up"]
 
 Array = npt.NDArray[np.float64]
 
-# Shares of the roadmap's samples; the others fall around the paths.
-_UNIFORM, _AT_GOALS = 0.6, 0.08
+# Shares of the roadmap's samples; the others fall around the paths. Where the best path is short, a part of the box is left to be
+# sampled, and takes fewer samples.
+_UNIFORM, _INFORMED, _AT_GOALS = 0.6, 0.3, 0.08
 _DETOURS = 3  # rounds between two of them
+_LEAST_SHARE, _LEAST_TRIALS = 1, 5  # most halvings of the polishing of a track that does not get better, and what is left of it
 _REDRAWN = 30  # times a sample that cannot be part of a better path is drawn again
 
 
 @kernel
-def _draw(space: Any, road: Any, tracks: Any, least: float, most: float, random: Any, q: Any) -> None:
-    """Draw a sample: in the whole box, around a goal, or around a point of one of the paths, chosen by cost."""
+def _draw(space: Any, road: Any, tracks: Any, best: float, least: float, most: float, random: Any, q: Any) -> None:
+    """Draw a sample: uniformly where paths cheaper than `best` may pass, around a goal, or around one of the paths, chosen by cost."""
     n = q.shape[0]
     kind = uniform(random)
-    for k in range(n):
-        q[k] = space.lower[k] + uniform(random) * (space.upper[k] - space.lower[k])
+    informed = False
     if kind < _UNIFORM:
-        return
+        start = road.rows[graph.START]
+        near, goal = 0, graph.START
+        for g in range(1, 1 + road.size[2]):
+            if distance(space, start, road.rows[g]) < best:
+                near += 1
+                if below(random, near) == 0:
+                    goal = g
+        volume = draw_between(space, start, road.rows[goal], best, random, q)
+        informed = volume > 0.0
+        if informed and kind < _INFORMED + (_UNIFORM - _INFORMED) * volume:
+            return
+        if informed:
+            kind = _UNIFORM + uniform(random) * (1.0 - _UNIFORM)
+    if not informed:
+        for k in range(n):
+            q[k] = space.lower[k] + uniform(random) * (space.upper[k] - space.lower[k])
+        if kind < _UNIFORM:
+            return
     step = least * math.exp(uniform(random) * math.log(most / least))
     if kind < _UNIFORM + _AT_GOALS:
         goal = 1 + below(random, road.size[2])
@@ -79,11 +101,11 @@ def _grow(space: Any, road: Any, tracks: Any, samples: int, best: float, least: 
     """Evaluate a number of samples that may lie on a path cheaper than `best`, and add the valid ones."""
     for _ in range(samples):
         for _ in range(_REDRAWN):
-            _draw(space, road, tracks, least, most, random, q)
+            _draw(space, road, tracks, best, least, most, random, q)
             ahead = np.inf
             for g in range(1, 1 + road.size[2]):
                 ahead = min(ahead, distance(space, q, road.rows[g]))
-            if distance(space, q, road.rows[graph.START]) + ahead < best:
+            if inside(space, q) and distance(space, q, road.rows[graph.START]) + ahead < best:
                 leaf = evaluate(space, q)
                 if leaf >= 0.0:
                     graph.add_vertex(space, road, q, leaf)
@@ -214,7 +236,7 @@ def _first_paths(run: Run) -> None:
 def _round(run: Run) -> None:
     """One batch of roadmap samples with its search, at times one for a detour, then more ways out, then polishing of the tracks."""
     o = run.options
-    if run.road.size[0] + o.batch + local.MAX_WAYPOINTS > len(run.road.rows) or 2 * run.road.size[1] > len(run.road.length):
+    if run.road.size[0] + o.batch + MAX_WAYPOINTS > len(run.road.rows) or 2 * run.road.size[1] > len(run.road.length):
         run.road = graph.enlarged(run.road)
     best_track = int(np.argmin(run.tracks.cost))
     if not math.isfinite(run.best_cost):
@@ -246,4 +268,12 @@ def _round(run: Run) -> None:
     for place, t in enumerate(alive):
         if run.over():
             return
-        run.polish(int(t), max(5, int(trials / 2 ** (place + 1))))
+        wanted = max(_LEAST_TRIALS, trials / 2 ** (place + 1))
+        given = max(_LEAST_TRIALS, int(wanted / 2 ** min(run.idle[t], _LEAST_SHARE)))
+        run.spare += wanted - given
+        run.polish(int(t), given)
+    before = run.iterations
+    while len(alive) and run.spare > run.iterations - before and not run.over():
+        if not run.restarts.look(run):
+            run.polish(int(alive[0]), int(run.spare) + 1)
+    run.spare -= run.iterations - before  # below zero after a long try: the next rounds make up for it

@@ -1,110 +1,35 @@
-"""Local improvement of paths: shortcuts, moved and inserted waypoints, each kept only if the path's cost falls.
+"""Local improvement of a path: waypoints and stretches moved, corners cut, waypoints put in, each kept if the path's cost falls.
 
-Several paths (tracks) are improved side by side, because which goal and which way round a stem is best shows only after polishing.
+A path of many waypoints is improved slowly, one waypoint at a time. So a waypoint that gains next to nothing is not put in, and one
+whose absence costs next to nothing is left out: how much that is, is the tolerance, a share of the path's cost.
 """
 
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from lime_planner.jit import kernel
 from lime_planner.planning.random import below, normal, uniform
+from lime_planner.planning.tracks import MAX_WAYPOINTS, make_room, sum_cost, take_out
 from lime_planner.space import clamp, distance, edge, evaluate
 
-Array = npt.NDArray[np.float64]
-
-MAX_WAYPOINTS = 96
-_GAIN = 1e-9  # a change must be better by this share of the cost
+_GAIN = 1e-9  # a moved waypoint must be better by this share of the cost
 _TRIALS_UP, _TRIALS_DOWN = 1.6, 0.87  # step control of moved waypoints: the one-fifth success rule
 _FINEST = 0.03  # how far below the least step that control may go
-# Shares of the trials: new waypoints (of these two at once), shortcuts, two waypoints moved alike; the others move one.
-_NEW, _NEW_PAIRS, _SHORTCUTS, _PAIRS = 0.35, 0.3, 0.15, 0.15
+# Shares of the trials: new waypoints (of these two at once), shortcuts, corners cut, stretches moved; the others move one waypoint.
+_NEW, _NEW_PAIRS, _SHORTCUTS, _CUTS, _BENDS = 0.3, 0.3, 0.1, 0.15, 0.12
+_FURTHER = 0.5  # chance that a corner that is cut has one waypoint more
+_SMALLEST_CUT = 4.0  # the least share of an edge that is cut away is exp of minus this
 _AT_BORDERS = 0.5  # share of the new waypoints that are put where leaves begin or end: there the best paths have their bends
 _FINER = 0.3  # their step, over that of the others
 _HALVINGS = 7  # for finding such a place
 
 
-class Tracks(NamedTuple):
-    """Paths being improved; T tracks.
-
-    Attributes:
-        points: (T, W, n) waypoints; size: (T,) how many, 0 for an empty track.
-        segment: (T, W) exact cost of the edge to the next waypoint.
-        step: (T, W) standard deviation of the next move of a waypoint.
-        cost: (T,) sums of the segments, inf for an empty track.
-        trial, second: (n,) scratch.
-    """
-
-    points: Array
-    size: npt.NDArray[np.int64]
-    segment: Array
-    step: Array
-    cost: Array
-    trial: Array
-    second: Array
-
-
-def new_tracks(tracks: int, n: int) -> Tracks:
-    """Make room for `tracks` paths in n dimensions."""
-    return Tracks(
-        np.zeros((tracks, MAX_WAYPOINTS, n)),
-        np.zeros(tracks, np.int64),
-        np.zeros((tracks, MAX_WAYPOINTS)),
-        np.zeros((tracks, MAX_WAYPOINTS)),
-        np.full(tracks, np.inf),
-        np.zeros(n),
-        np.zeros(n),
-    )
-
-
 @kernel
-def sum_cost(tracks: Any, t: int) -> None:
-    """Add a track's segments up."""
-    total = 0.0
-    for i in range(tracks.size[t] - 1):
-        total += tracks.segment[t, i]
-    tracks.cost[t] = total
-
-
-@kernel
-def load_track(space: Any, tracks: Any, t: int, path: Any, count: int, weight: float, step: float, bound: float) -> bool:
-    """Put a path (M, n) of valid edges into track t; its cost is evaluated. False, and the track is empty, above `bound`."""
-    total = 0.0
-    tracks.size[t] = 0
-    tracks.cost[t] = np.inf
-    for i in range(count - 1):
-        c = edge(space, path[i], path[i + 1], weight, bound - total)
-        total += c
-        if not total <= bound or total == np.inf:
-            return False
-        tracks.segment[t, i] = c
-    for i in range(count):
-        tracks.points[t, i] = path[i]
-        tracks.step[t, i] = step
-    tracks.size[t] = count
-    tracks.cost[t] = total
-    return True
-
-
-@kernel
-def _remove_between(tracks: Any, t: int, i: int, j: int, cost: float) -> None:
-    """Join waypoints i and j of a track by an edge of the given cost."""
-    gone = j - i - 1
-    for k in range(i + 1, tracks.size[t] - gone):
-        tracks.points[t, k] = tracks.points[t, k + gone]
-        tracks.step[t, k] = tracks.step[t, k + gone]
-        tracks.segment[t, k] = tracks.segment[t, k + gone]
-    tracks.segment[t, i] = cost
-    tracks.size[t] -= gone
-    sum_cost(tracks, t)
-
-
-@kernel
-def _shortcut(space: Any, tracks: Any, t: int, weight: float, random: Any) -> bool:
+def _shortcut(space: Any, tracks: Any, t: int, weight: float, tolerance: float, random: Any) -> bool:
     """Try to join two waypoints directly."""
     m = tracks.size[t]
     if m < 3:
@@ -114,13 +39,69 @@ def _shortcut(space: Any, tracks: Any, t: int, weight: float, random: Any) -> bo
     old = 0.0
     for k in range(i, j):
         old += tracks.segment[t, k]
-    limit = old * (1.0 - _GAIN)
+    limit = old + tolerance * tracks.cost[t]
     if distance(space, tracks.points[t, i], tracks.points[t, j]) >= limit:
         return False
     c = edge(space, tracks.points[t, i], tracks.points[t, j], weight, limit)
     if c >= limit:
         return False
-    _remove_between(tracks, t, i, j, c)
+    take_out(tracks, t, i, j - i - 1)
+    tracks.segment[t, i] = c
+    sum_cost(tracks, t)
+    return True
+
+
+@kernel
+def _cut(space: Any, tracks: Any, t: int, weight: float, tolerance: float, random: Any) -> bool:
+    """Try to cut a corner: join two points inside two edges. In free space what is valid is shorter."""
+    m = tracks.size[t]
+    if m < 3 or m + 2 > MAX_WAYPOINTS:
+        return False
+    i = below(random, m - 2)
+    j = i + 1
+    while j < m - 2 and uniform(random) < _FURTHER:
+        j += 1
+    n = tracks.trial.shape[0]
+    # Shares of the two edges that are cut away, small ones as likely as large ones.
+    first, last = math.exp(-_SMALLEST_CUT * uniform(random)), math.exp(-_SMALLEST_CUT * uniform(random))
+    a, b = tracks.points[t, i], tracks.points[t, i + 1]
+    c, d = tracks.points[t, j], tracks.points[t, j + 1]
+    for k in range(n):
+        tracks.trial[k] = b[k] + first * (a[k] - b[k])
+        tracks.second[k] = c[k] + last * (d[k] - c[k])
+    old = 0.0
+    for k in range(i, j + 1):
+        old += tracks.segment[t, k]
+    limit = old - 2.0 * tolerance * tracks.cost[t]
+    length_a, length_d = distance(space, a, b), distance(space, c, d)
+    rest = length_a * (1.0 - first) + length_d * (1.0 - last)
+    if distance(space, tracks.trial, tracks.second) + rest >= limit:
+        return False
+    if evaluate(space, tracks.trial) < 0.0 or evaluate(space, tracks.second) < 0.0:
+        return False
+    middle = edge(space, tracks.trial, tracks.second, weight, limit - rest)
+    if middle + rest >= limit:
+        return False
+    before = edge(space, a, tracks.trial, weight, limit - middle)
+    if middle + before >= limit:
+        return False
+    after = edge(space, tracks.second, d, weight, limit - middle - before)
+    if middle + before + after >= limit:
+        return False
+    step = tracks.step[t, i + 1]
+    other = tracks.step[t, j]
+    if j == i + 1:
+        make_room(tracks, t, i + 1, 1)
+    else:  # of the waypoints between the two edges two stay
+        take_out(tracks, t, i + 2, j - i - 2)
+    tracks.points[t, i + 1] = tracks.trial
+    tracks.points[t, i + 2] = tracks.second
+    tracks.step[t, i + 1] = step
+    tracks.step[t, i + 2] = other
+    tracks.segment[t, i] = before
+    tracks.segment[t, i + 1] = middle
+    tracks.segment[t, i + 2] = after
+    sum_cost(tracks, t)
     return True
 
 
@@ -210,51 +191,59 @@ def _three_edges(space: Any, a: Any, b: Any, c: Any, d: Any, weight: float, limi
 
 
 @kernel
-def _move_two(space: Any, tracks: Any, t: int, weight: float, least: float, random: Any) -> bool:
-    """Try to move two neighbouring waypoints alike."""
+def _bend(space: Any, tracks: Any, t: int, weight: float, least: float, random: Any) -> bool:
+    """Try to shift a stretch of the path as one: a waypoint most, those on either side of it less and less."""
     m = tracks.size[t]
     if m < 4:
         return _move(space, tracks, t, weight, least, random)
-    i = 1 + below(random, m - 3)
-    step = math.sqrt(tracks.step[t, i] * tracks.step[t, i + 1])
-    limit = (tracks.segment[t, i - 1] + tracks.segment[t, i] + tracks.segment[t, i + 1]) * (1.0 - _GAIN)
     n = tracks.trial.shape[0]
+    i = 1 + below(random, m - 2)
+    first = 1 + below(random, i)
+    last = i + below(random, m - 1 - i)
     for k in range(n):
-        d = step * normal(random)
-        tracks.trial[k] = tracks.points[t, i, k] + d
-        tracks.second[k] = tracks.points[t, i + 1, k] + d
-    clamp(space, tracks.trial)
-    clamp(space, tracks.second)
-    good = evaluate(space, tracks.trial) >= 0.0 and evaluate(space, tracks.second) >= 0.0
+        tracks.trial[k] = tracks.step[t, i] * normal(random)
+    old = 0.0
+    for j in range(first - 1, last + 1):
+        old += tracks.segment[t, j]
+    for j in range(first - 1, last + 2):
+        share = (j - first + 1.0) / (i - first + 1.0) if j <= i else (last - j + 1.0) / (last - i + 1.0)
+        for k in range(n):
+            tracks.moved[j, k] = tracks.points[t, j, k] + share * tracks.trial[k]
+        clamp(space, tracks.moved[j])
+    good = _price(space, tracks, first - 1, last + 1, weight, old * (1.0 - _GAIN))
     if good:
-        first, second, third = _three_edges(
-            space, tracks.points[t, i - 1], tracks.trial, tracks.second, tracks.points[t, i + 2], weight, limit
-        )
-        good = first < np.inf
-        if good:
-            tracks.points[t, i] = tracks.trial
-            tracks.points[t, i + 1] = tracks.second
-            tracks.segment[t, i - 1] = first
-            tracks.segment[t, i] = second
-            tracks.segment[t, i + 1] = third
-            sum_cost(tracks, t)
-    for j in range(i, i + 2):
+        for j in range(first - 1, last + 1):
+            tracks.segment[t, j] = tracks.price[j]
+            if j >= first:
+                tracks.points[t, j] = tracks.moved[j]
+        sum_cost(tracks, t)
+    for j in range(first, last + 1):
         tracks.step[t, j] = max(_FINEST * least, tracks.step[t, j] * (_TRIALS_UP if good else _TRIALS_DOWN))
     return good
 
 
 @kernel
-def _make_room(tracks: Any, t: int, i: int, count: int) -> None:
-    """Shift the waypoints behind waypoint i of a track by `count` places."""
-    for k in range(tracks.size[t] - 1 + count, i + count, -1):
-        tracks.points[t, k] = tracks.points[t, k - count]
-        tracks.step[t, k] = tracks.step[t, k - count]
-        tracks.segment[t, k] = tracks.segment[t, k - count]
-    tracks.size[t] += count
+def _price(space: Any, tracks: Any, first: int, last: int, weight: float, limit: float) -> bool:
+    """Evaluate the edges from waypoint `first` to `last` of the path in `moved`; False where their sum is not below the limit."""
+    rest = 0.0
+    for j in range(first, last):
+        rest += distance(space, tracks.moved[j], tracks.moved[j + 1])
+    if not rest < limit:
+        return False
+    for j in range(first + 1, last):
+        if evaluate(space, tracks.moved[j]) < 0.0:
+            return False
+    for j in range(first, last):
+        rest -= distance(space, tracks.moved[j], tracks.moved[j + 1])
+        tracks.price[j] = edge(space, tracks.moved[j], tracks.moved[j + 1], weight, limit - rest)
+        rest += tracks.price[j]
+        if not rest < limit:
+            return False
+    return True
 
 
 @kernel
-def _insert(space: Any, tracks: Any, t: int, weight: float, least: float, most: float, two: bool, random: Any) -> bool:
+def _insert(space: Any, tracks: Any, t: int, weight: float, least: float, most: float, two: bool, tolerance: float, random: Any) -> bool:
     """Try one new waypoint, or two, beside an edge chosen by its cost.
 
     Around a corner among leaves one alone may cost more wherever it is put, and two cost less.
@@ -276,7 +265,7 @@ def _insert(space: Any, tracks: Any, t: int, weight: float, least: float, most: 
         if weight > 0.0:  # otherwise leaves are air
             share = _border(space, a, b, share, other, tracks.trial)
         step *= _FINER
-    limit = tracks.segment[t, i] * (1.0 - _GAIN)
+    limit = tracks.segment[t, i] - 2.0 * tolerance * tracks.cost[t]
     n = a.shape[0]
     for k in range(n):
         tracks.trial[k] = a[k] + share * (b[k] - a[k]) + step * normal(random)
@@ -287,7 +276,7 @@ def _insert(space: Any, tracks: Any, t: int, weight: float, least: float, most: 
         first, second = _two_edges(space, a, tracks.trial, b, weight, limit)
         if first == np.inf:
             return False
-        _make_room(tracks, t, i, 1)
+        make_room(tracks, t, i, 1)
     else:
         length = distance(space, a, b)
         further = min(1.0, share + 3.0 * step * uniform(random) / max(length, 1e-9))
@@ -299,7 +288,7 @@ def _insert(space: Any, tracks: Any, t: int, weight: float, least: float, most: 
         first, second, third = _three_edges(space, a, tracks.trial, tracks.second, b, weight, limit)
         if first == np.inf:
             return False
-        _make_room(tracks, t, i, 2)
+        make_room(tracks, t, i, 2)
         tracks.points[t, i + 2] = tracks.second
         tracks.step[t, i + 2] = step
         tracks.segment[t, i + 2] = third
@@ -312,7 +301,7 @@ def _insert(space: Any, tracks: Any, t: int, weight: float, least: float, most: 
 
 
 @kernel
-def polish(space: Any, tracks: Any, t: int, trials: int, weight: float, least: float, most: float, random: Any) -> None:
+def polish(space: Any, tracks: Any, t: int, trials: int, weight: float, least: float, most: float, tolerance: float, random: Any) -> None:
     """Make a number of trials on track t.
 
     Args:
@@ -321,15 +310,18 @@ def polish(space: Any, tracks: Any, t: int, trials: int, weight: float, least: f
         trials: configurations or shortcuts to try.
         weight: leaf weight of J.
         least, most: smallest and largest standard deviation of a new waypoint [unit of the space].
+        tolerance: share of the cost that leaving waypoints out may add; a further waypoint must gain twice as much.
         random: generator state.
     """
     for _ in range(trials):
         kind = uniform(random)
         if tracks.size[t] < 3 or kind < _NEW:
-            _insert(space, tracks, t, weight, least, most, uniform(random) < _NEW_PAIRS, random)
+            _insert(space, tracks, t, weight, least, most, uniform(random) < _NEW_PAIRS, tolerance, random)
         elif kind < _NEW + _SHORTCUTS:
-            _shortcut(space, tracks, t, weight, random)
-        elif kind < _NEW + _SHORTCUTS + _PAIRS:
-            _move_two(space, tracks, t, weight, least, random)
+            _shortcut(space, tracks, t, weight, tolerance, random)
+        elif kind < _NEW + _SHORTCUTS + _CUTS:
+            _cut(space, tracks, t, weight, tolerance, random)
+        elif kind < _NEW + _SHORTCUTS + _CUTS + _BENDS:
+            _bend(space, tracks, t, weight, least, random)
         else:
             _move(space, tracks, t, weight, least, random)
