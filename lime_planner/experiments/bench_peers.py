@@ -12,7 +12,7 @@ from lime_planner.experiments.arguments import add_run_arguments, make_folder
 from lime_planner.experiments.bench_planners import add_problem_arguments, finish, problems_of, run_comparison
 
 PEERS = ("ompl_rrt_star", "ompl_informed_rrt_star", "ompl_bit_star", "ompl_rrt_connect")
-SEARCH_PLANTS = ("medium:901", "dense:902", "dense:903")  # never among those that are compared
+SEARCH_PLANTS = ("sparse:901", "medium:901", "dense:902", "dense:903")  # never among those that are compared
 
 _EPILOG = """\
 Every peer gets the same space, start, goals and cost, and our compiled checks.
@@ -110,7 +110,8 @@ def run_search(args: argparse.Namespace) -> int:
             extra={"machine": machine(), "problems": [spec.to_dict() for spec in problems]},
         )
         results, complete = collect(plan, path, jobs=jobs, resume=resume, scheduler=args.scheduler)
-        return {method: choose(method, results["trials"], seconds) | {"seeds": seeds} for method in methods}, complete
+        said = {"seeds": seeds, "problems": [s.key for s in problems]}
+        return {method: choose(method, results["trials"], seconds) | said for method in methods}, complete
 
     grids = {method: candidates(method) for method in methods}
     found, complete = search(grids, args.resume)
@@ -118,7 +119,7 @@ def run_search(args: argparse.Namespace) -> int:
         found, complete = search({m: [*grids[m], *finer_candidates(m, found[m]["settings"])] for m in methods}, True)
     path = write_json(
         args.out / "peer_settings.json",
-        {"seconds": seconds, "clock": args.clock, "plants": plants, "problems": [s.key for s in problems], "methods": found},
+        {"seconds": seconds, "clock": args.clock, "methods": found},
     )
     for method, entry in found.items():
         print(f"{method}: {entry['settings']}")
