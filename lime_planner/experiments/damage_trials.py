@@ -35,7 +35,7 @@ METHODS: dict[str, dict[str, Any]] = {
 }
 
 #: About what a method gets done in 0.5 s on one free core of a 2024 machine, the median over plants: for results that repeat.
-REPEATABLE = {"solid": 8000, "ignored": 9000, "apf_rrt_star": 21_000, "binary": 9700, "graded": 6500}
+REPEATABLE = {"solid": 14_000, "ignored": 21_000, "apf_rrt_star": 21_000, "binary": 11_000, "graded": 7000}
 
 #: Their names in tables.
 LABELS = {
