@@ -209,7 +209,8 @@ def _bend(space: Any, tracks: Any, t: int, weight: float, least: float, random: 
         share = (j - first + 1.0) / (i - first + 1.0) if j <= i else (last - j + 1.0) / (last - i + 1.0)
         for k in range(n):
             tracks.moved[j, k] = tracks.points[t, j, k] + share * tracks.trial[k]
-        clamp(space, tracks.moved[j])
+        if first <= j <= last:  # the two beside the stretch stay where they are
+            clamp(space, tracks.moved[j])
     good = _price(space, tracks, first - 1, last + 1, weight, old * (1.0 - _GAIN))
     if good:
         for j in range(first - 1, last + 1):
