@@ -8,8 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lime_planner.jit import kernel
-from lime_planner.planning.ellipsoid import draw_between
-from lime_planner.planning.random import uniform
+from lime_planner.planning.ellipsoid import draw_between, draw_in_box
 from lime_planner.space import clamp, distance, edge, evaluate
 
 Array = npt.NDArray[np.float64]
@@ -102,7 +101,6 @@ def connect(
     Returns:
         Number of waypoints of the path, 0 if the trees did not meet; samples drawn.
     """
-    n = trial.shape[1]
     for drawn in range(samples):
         forward = drawn % 2 == 0
         grown = from_start if forward else from_goal
@@ -110,8 +108,7 @@ def connect(
         if draw_between(space, from_start.rows[0], from_goal.rows[0], bound, random, trial[0]) > 0.0:
             clamp(space, trial[0])
         else:
-            for k in range(n):
-                trial[0, k] = space.lower[k] + uniform(random) * (space.upper[k] - space.lower[k])
+            draw_in_box(space, random, trial[0])
         new = _extend(space, grown, trial[0], step, solid, trial[1])
         if new < 0:
             continue

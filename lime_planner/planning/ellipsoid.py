@@ -1,4 +1,4 @@
-"""Samples in the ellipsoid of the paths between two configurations that are shorter than a bound.
+"""Uniform samples: in the sampling box, or in the ellipsoid of the paths between two configurations that are shorter than a bound.
 
 Every such path lies inside it, and where it is smaller than the sampling box nothing else need be sampled (Informed RRT*, Gammell,
 Srinivasa and Barfoot 2014). The bound is a cost: no cost is below the length.
@@ -12,6 +12,13 @@ from typing import Any
 from lime_planner.jit import kernel
 from lime_planner.planning.random import normal, uniform
 from lime_planner.space import distance
+
+
+@kernel
+def draw_in_box(space: Any, random: Any, q: Any) -> None:
+    """Draw uniformly in the sampling box into q, (n,)."""
+    for k in range(q.shape[0]):
+        q[k] = space.lower[k] + uniform(random) * (space.upper[k] - space.lower[k])
 
 
 @kernel

@@ -48,7 +48,7 @@ class Run:
         goals: (G, n) valid goals; goal_leaf: (G,) leaf intensity there.
         escapes: way out of each goal, the start's in the last place.
         tracks: paths being polished; the last place is for loading.
-        idle: (T,) rounds of polishing that brought a track next to nothing; halved: (T,) times that its tolerance was halved.
+        idle: (T,) whether a track's last polishing brought next to nothing; halved: (T,) times that its tolerance was halved.
         joins: (G,) times that a goal's way out was tried to be reached.
         best_path, best_cost, best_segments: so far; (M - 1,) costs of the edges.
         rounds: how many there were; spare: trials that polishing left for restarts.
@@ -89,7 +89,7 @@ class Run:
         self.road = graph.new_roadmap(2000, n)
         self.tracks = new_tracks(options.tracks + 1, n)
         self.joins = np.zeros(len(goals))
-        self.idle, self.halved = np.zeros(options.tracks + 1), np.zeros(options.tracks + 1)
+        self.idle, self.halved = np.zeros(options.tracks + 1, dtype=bool), np.zeros(options.tracks + 1)
         self.escapes = escape.new_escapes(len(goals) + 1, n, self.least)
         self.from_start, self.from_goal = trees.new_bush(n), trees.new_bush(n)
         self.path, self.trial, self.q = np.zeros((MAX_WAYPOINTS, n)), np.zeros((2, n)), np.zeros(n)
@@ -145,7 +145,7 @@ class Run:
         place = worst if copies < _COPIES else dearest
         if tracks.cost[spare] < tracks.cost[place] or (instead and not copies):
             copy_track(tracks, spare, place)
-            self.idle[place] = self.halved[place] = 0.0
+            self.idle[place], self.halved[place] = False, 0.0
         else:
             place = -1
         empty_track(tracks, spare)
@@ -168,8 +168,8 @@ class Run:
                 break
         cost = float(self.tracks.cost[t])
         stale = before - cost < max(_STALE * cost, _SLOW * (cost - self.best_cost))
-        self.idle[t] = self.idle[t] + 1.0 if stale else 0.0
-        self.halved[t] = min(self.halved[t] + float(stale), _FINER)
+        self.idle[t] = stale
+        self.halved[t] = min(self.halved[t] + stale, _FINER)
         self.keep(t)
 
     def goal_vertex(self, t: int) -> int:
@@ -266,9 +266,13 @@ class Run:
         (a, first), (b, last) = self.out(len(self.goals)), self.out(g)
         return first + last + float(np.linalg.norm(a - b))
 
+    def least_costs(self) -> Array:
+        """The same for every goal, (G,)."""
+        return np.array([self.least_cost(g) for g in range(len(self.goals))])
+
     def use_ways_out(self) -> None:
         """Join the ways out of the goals to the start's, cheapest first, as long as the outcome may be the best."""
-        costs = np.array([self.least_cost(g) for g in range(len(self.goals))])
+        costs = self.least_costs()
         for g in np.argsort(costs, kind="stable")[:_JOINED_FIRST]:
             if not costs[g] < self.best_cost or self.over():
                 return
@@ -277,7 +281,7 @@ class Run:
 
     def improve_ways_out(self, goals: int, trials: int) -> None:
         """Go on with the ways out of the cheapest goals, and use what was found."""
-        costs = np.array([self.least_cost(g) for g in range(len(self.goals))])
+        costs = self.least_costs()
         joined = False
         for g in np.argsort(costs, kind="stable")[:goals]:
             if self.over():

@@ -28,7 +28,7 @@ import numpy.typing as npt
 from lime_planner.errors import ProblemError
 from lime_planner.jit import kernel
 from lime_planner.planning import roadmap as graph
-from lime_planner.planning.ellipsoid import draw_between
+from lime_planner.planning.ellipsoid import draw_between, draw_in_box
 from lime_planner.planning.lime_options import LimeOptions, LimeOutcome
 from lime_planner.planning.lime_run import Run
 from lime_planner.planning.random import below, normal, uniform
@@ -45,7 +45,7 @@ Array = npt.NDArray[np.float64]
 # sampled, and takes fewer samples.
 _UNIFORM, _INFORMED, _AT_GOALS = 0.6, 0.3, 0.08
 _DETOURS = 3  # rounds between two of them
-_LEAST_SHARE, _LEAST_TRIALS = 1, 5  # most halvings of the polishing of a track that does not get better, and what is left of it
+_LEAST_TRIALS = 5  # of polishing, for each track in each round
 _REDRAWN = 30  # times a sample that cannot be part of a better path is drawn again
 
 
@@ -65,13 +65,12 @@ def _draw(space: Any, road: Any, tracks: Any, best: float, least: float, most: f
                     goal = g
         volume = draw_between(space, start, road.rows[goal], best, random, q)
         informed = volume > 0.0
-        if informed and kind < _INFORMED + (_UNIFORM - _INFORMED) * volume:
-            return
         if informed:
+            if kind < _INFORMED + (_UNIFORM - _INFORMED) * volume:
+                return
             kind = _UNIFORM + uniform(random) * (1.0 - _UNIFORM)
     if not informed:
-        for k in range(n):
-            q[k] = space.lower[k] + uniform(random) * (space.upper[k] - space.lower[k])
+        draw_in_box(space, random, q)
         if kind < _UNIFORM:
             return
     step = least * math.exp(uniform(random) * math.log(most / least))
@@ -269,7 +268,7 @@ def _round(run: Run) -> None:
         if run.over():
             return
         wanted = max(_LEAST_TRIALS, trials / 2 ** (place + 1))
-        given = max(_LEAST_TRIALS, int(wanted / 2 ** min(run.idle[t], _LEAST_SHARE)))
+        given = max(_LEAST_TRIALS, int(wanted / 2 if run.idle[t] else wanted))
         run.spare += wanted - given
         run.polish(int(t), given)
     before = run.iterations

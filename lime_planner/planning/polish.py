@@ -13,7 +13,7 @@ import numpy as np
 
 from lime_planner.jit import kernel
 from lime_planner.planning.random import below, normal, uniform
-from lime_planner.planning.tracks import MAX_WAYPOINTS, make_room, sum_cost, take_out
+from lime_planner.planning.tracks import MAX_WAYPOINTS, cost_between, make_room, sum_cost, take_out
 from lime_planner.space import clamp, distance, edge, evaluate
 
 _GAIN = 1e-9  # a moved waypoint must be better by this share of the cost
@@ -36,10 +36,7 @@ def _shortcut(space: Any, tracks: Any, t: int, weight: float, tolerance: float, 
         return False
     i = below(random, m - 2)
     j = i + 2 + below(random, m - i - 2)
-    old = 0.0
-    for k in range(i, j):
-        old += tracks.segment[t, k]
-    limit = old + tolerance * tracks.cost[t]
+    limit = cost_between(tracks, t, i, j) + tolerance * tracks.cost[t]
     if distance(space, tracks.points[t, i], tracks.points[t, j]) >= limit:
         return False
     c = edge(space, tracks.points[t, i], tracks.points[t, j], weight, limit)
@@ -69,10 +66,7 @@ def _cut(space: Any, tracks: Any, t: int, weight: float, tolerance: float, rando
     for k in range(n):
         tracks.trial[k] = b[k] + first * (a[k] - b[k])
         tracks.second[k] = c[k] + last * (d[k] - c[k])
-    old = 0.0
-    for k in range(i, j + 1):
-        old += tracks.segment[t, k]
-    limit = old - 2.0 * tolerance * tracks.cost[t]
+    limit = cost_between(tracks, t, i, j + 1) - 2.0 * tolerance * tracks.cost[t]
     length_a, length_d = distance(space, a, b), distance(space, c, d)
     rest = length_a * (1.0 - first) + length_d * (1.0 - last)
     if distance(space, tracks.trial, tracks.second) + rest >= limit:
@@ -202,16 +196,14 @@ def _bend(space: Any, tracks: Any, t: int, weight: float, least: float, random: 
     last = i + below(random, m - 1 - i)
     for k in range(n):
         tracks.trial[k] = tracks.step[t, i] * normal(random)
-    old = 0.0
-    for j in range(first - 1, last + 1):
-        old += tracks.segment[t, j]
+    limit = cost_between(tracks, t, first - 1, last + 1) * (1.0 - _GAIN)
     for j in range(first - 1, last + 2):
         share = (j - first + 1.0) / (i - first + 1.0) if j <= i else (last - j + 1.0) / (last - i + 1.0)
         for k in range(n):
             tracks.moved[j, k] = tracks.points[t, j, k] + share * tracks.trial[k]
         if first <= j <= last:  # the two beside the stretch stay where they are
             clamp(space, tracks.moved[j])
-    good = _price(space, tracks, first - 1, last + 1, weight, old * (1.0 - _GAIN))
+    good = _price(space, tracks, first - 1, last + 1, weight, limit)
     if good:
         for j in range(first - 1, last + 1):
             tracks.segment[t, j] = tracks.price[j]

@@ -31,14 +31,13 @@ class Restarts:
 
     def look(self, run: Run) -> bool:
         """Try once; False, and nothing was done, where no goal can be reached for much less than the best path costs."""
-        goals = len(run.goals)
-        costs = np.array([run.least_cost(g) for g in range(goals)])
+        costs = run.least_costs()
         promising = costs < (1.0 - _WORTH) * run.best_cost
         if not promising.any():
             return False
         g = int(np.argmin(np.where(promising, costs * (1.0 + _TIRED * self.tried), math.inf)))
         self.tried[g] += 1
-        (root, first), (end, last) = run.out(goals), run.out(g)
+        (root, first), (end, last) = run.out(len(run.goals)), run.out(g)
         samples = run.left(run.options.connect_samples)
         count = run.connect(run.space, root, end, samples, solid=True, bound=run.best_cost - first - last)
         if count and not run.over():

@@ -54,23 +54,32 @@ def new_tracks(tracks: int, n: int) -> Tracks:
 
 
 @kernel
+def cost_between(tracks: Any, t: int, first: int, last: int) -> float:
+    """Cost of a track from waypoint `first` to waypoint `last`."""
+    total = 0.0
+    for i in range(first, last):
+        total += tracks.segment[t, i]
+    return total
+
+
+@kernel
 def sum_cost(tracks: Any, t: int) -> None:
     """Add a track's segments up."""
-    total = 0.0
-    for i in range(tracks.size[t] - 1):
-        total += tracks.segment[t, i]
-    tracks.cost[t] = total
+    tracks.cost[t] = cost_between(tracks, t, 0, tracks.size[t] - 1)
 
 
-_COMPARED = 8  # places along two paths
+@kernel
+def empty_track(tracks: Any, t: int) -> None:
+    """Leave a track without a path."""
+    tracks.size[t] = 0
+    tracks.cost[t] = np.inf
 
 
 @kernel
 def load_track(space: Any, tracks: Any, t: int, path: Any, count: int, weight: float, step: float, bound: float) -> bool:
     """Put a path (M, n) of valid edges into track t; its cost is evaluated. False, and the track is empty, above `bound`."""
     total = 0.0
-    tracks.size[t] = 0
-    tracks.cost[t] = np.inf
+    empty_track(tracks, t)
     for i in range(count - 1):
         c = edge(space, path[i], path[i + 1], weight, bound - total)
         total += c
@@ -117,13 +126,6 @@ def copy_track(tracks: Any, t: int, to: int) -> None:
 
 
 @kernel
-def empty_track(tracks: Any, t: int) -> None:
-    """Leave a track without a path."""
-    tracks.size[t] = 0
-    tracks.cost[t] = np.inf
-
-
-@kernel
 def _place(space: Any, tracks: Any, t: int, share: float, out: Any) -> None:
     """Write the configuration at a share of a track's length."""
     m = tracks.size[t]
@@ -156,6 +158,8 @@ def near_tracks(space: Any, tracks: Any, t: int, radius: float) -> tuple[int, in
             _place(space, tracks, t, c / _COMPARED, tracks.trial)
             _place(space, tracks, other, c / _COMPARED, tracks.second)
             widest = max(widest, distance(space, tracks.trial, tracks.second))
+            if widest >= radius:
+                break
         if widest < radius:
             count += 1
             if dearest < 0 or tracks.cost[other] > tracks.cost[dearest]:
