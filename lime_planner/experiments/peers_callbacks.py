@@ -84,8 +84,11 @@ class Callbacks:
         return self.checks.compiled_s + self.leafless.compiled_s
 
 
-def stopping(callbacks: Callbacks, over: Callable[[], bool], watch: Callable[[], None] = lambda: None) -> Callable[[], bool]:
-    """`over` for OMPL, which asks in every turn of its loops: carried out every half millisecond, with `watch` beside it."""
+def stopping(callbacks: Callbacks, over: Callable[[], bool], watch: Callable[[], float] = lambda: 0.0) -> Callable[[], bool]:
+    """`over` for OMPL, which asks in every turn of its loops: carried out every half millisecond, with `watch` beside it.
+
+    `watch` returns how much of its time is OMPL's own [s], which is not counted as a callback's.
+    """
     asked_s, ended = -math.inf, False
 
     def stop() -> bool:
@@ -94,9 +97,9 @@ def stopping(callbacks: Callbacks, over: Callable[[], bool], watch: Callable[[],
         now_s = time.perf_counter()
         if now_s - asked_s > _POLL_S:
             asked_s = now_s
-            watch()
+            omitted_s = watch()
             ended = over()
-            callbacks.callback_s += time.perf_counter() - now_s
+            callbacks.callback_s += time.perf_counter() - now_s - omitted_s
         return ended
 
     return stop

@@ -161,18 +161,18 @@ def _optimise(
     planner = _planner(setup, method, {k: v for k, v in settings.items() if not k.startswith("simplify_")})
     planner.setProblemDefinition(definition)
     planner.setup()
-    simplification = Simplification(setup.information, setup.goal, setup.objective, setup.callbacks, settings, spent, note)
+    simplification = Simplification(setup.information, setup.goal, setup.objective, settings, spent, note)
     if simplification.share > 0.0 and method == "bit_star":
         planner.setStopOnSolnImprovement(True)  # exactly then, not some iterations later
     noted, offered = math.inf, math.inf
 
-    def watch() -> None:
+    def watch() -> float:
         nonlocal noted
         cost = float(planner.bestCost().value())
         if cost < noted:
             noted = cost
             note(cost)
-        simplification.go_on()
+        return simplification.go_on()
 
     def pause() -> bool:
         return over() or (simplification.share > 0.0 and method != "bit_star" and noted < offered)

@@ -9,8 +9,6 @@ from typing import Any
 
 from ompl import geometric as og
 
-from lime_planner.experiments.peers_callbacks import Callbacks
-
 _GAIN = 0.999  # a round that lowers the cost by less brings nothing
 
 
@@ -38,7 +36,6 @@ class Simplification:
         information: Any,
         goal: Any,
         objective: Any,
-        callbacks: Callbacks,
         settings: Mapping[str, Any],
         spent: Callable[[], float],
         note: Callable[[float], None],
@@ -48,7 +45,7 @@ class Simplification:
         self.path: Any = None
         self._rounds = int(settings.get("simplify_rounds", 10))
         self._step = float(settings.get("simplify_step", 0.4))
-        self._callbacks, self._objective = callbacks, objective
+        self._objective = objective
         self._simplifier = og.PathSimplifier(information, goal, objective)
         self._spent, self._note, self._used_s = spent, note, 0.0
         self._next: Any = None  # the planner's newest path, not begun
@@ -60,11 +57,11 @@ class Simplification:
         self._next = og.PathGeometric(path)
         self._keep(path, float(path.cost(self._objective).value()))
 
-    def go_on(self) -> None:
-        """One round, if it is the simplifier's turn; called where OMPL asks whether to stop, whose time is counted as a callback's."""
+    def go_on(self) -> float:
+        """One round, if it is the simplifier's turn; the wall time of that [s], its callbacks' (which are counted as such) included."""
         began_s, wall_s = self._spent(), time.perf_counter()
         if self.path is None or self._used_s >= self.share * began_s:
-            return
+            return 0.0
         if self._own is None:
             self._own = self._next if self._next is not None else og.PathGeometric(self.path)
             self._next, self._low, self._idle = None, math.inf, 0
@@ -76,7 +73,7 @@ class Simplification:
         if self._idle >= self._rounds:
             self._own = None
         self._used_s += self._spent() - began_s
-        self._callbacks.callback_s -= time.perf_counter() - wall_s  # the rounds are OMPL's, their callbacks have been counted
+        return time.perf_counter() - wall_s
 
     def _keep(self, path: Any, cost: float) -> None:
         if cost < self.cost:
