@@ -77,8 +77,8 @@ def run(args: argparse.Namespace) -> int:
         page = Page(desk, access, port)
         try:
             announce(page.url, access, open_browser=not args.no_browser)
-            with until_signal() as ended:
-                ended.wait()
+            with until_signal() as signals:
+                signals.wait()
         finally:
             page.close()
     finally:

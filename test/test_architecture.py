@@ -17,7 +17,7 @@ MAX_LINES = 350
 
 #: Imports point only backwards along this order; modules of one row may import each other as long as there is no circle.
 ORDER = (
-    ("errors", "status", "atomic", "checked", "jit", "space", "parameters", "parameter_file", "poses", "transforms", ""),
+    ("errors", "status", "atomic", "checked", "jit", "space", "parameters", "parameter_file", "poses", "signals", "transforms", ""),
     ("scene",),
     ("robot",),
     ("planning",),

@@ -211,11 +211,11 @@ def test_layers_on_demand(planned: Tab, served: Page) -> None:
     for name in ("Search tree", "Collision spheres"):
         planned.page.get_by_label(name, exact=True).click()  # not check(): a busy page shows the tick later than that waits for
     until(lambda: served._extras._tree is not None and bool(served._extras._spheres), "tree and spheres")
-    assert any("search tree" in note for note in served._extras.notes)
+    until(lambda: any("search tree" in note for note in served._extras.notes), "what the tree is")
     planned.open("Distance to")
     planned.page.get_by_role("option", name="stems", exact=True).click()
     until(lambda: served._extras._slice is not None, "the slice")
-    assert any("distance to stems" in note for note in served._extras.notes)
+    until(lambda: any("distance to stems" in note for note in served._extras.notes), "what the slice is")
     planned.sees("Height of the slice")
 
 

@@ -1,15 +1,13 @@
 """How every node of the package is run and ended: exit code 0 after SIGINT or SIGTERM, at any moment, as often as they come.
 
-The usual spin-and-catch loop ends with code 1 or a traceback when a signal arrives inside a wait, or twice. Here the signals only
-write to a pipe; a thread spins; the main thread waits at the pipe's other end and then takes the node down in a fixed order.
+The usual spin-and-catch loop ends with code 1 or a traceback when a signal arrives inside a wait, or twice. Here the signals are only
+written to a pipe; a thread spins; the main thread waits at the pipe's other end and then takes the node down in a fixed order.
 """
 
 from __future__ import annotations
 
-import contextlib
 import faulthandler
 import os
-import signal
 import sys
 import threading
 import traceback
@@ -23,13 +21,12 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 
 from lime_planner.errors import LimePlannerError
+from lime_planner.signals import EndSignals
 
 #: How long the spinning thread may take to come back from the callback it is in [s].
 JOIN_TIMEOUT_S = 5.0
 #: A process that has not ended this long after its signal says where it hangs and ends with code 1, so that it can be started anew [s].
 END_TIMEOUT_S = 20.0
-
-_SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
 class _Stop(Future):
@@ -65,17 +62,8 @@ def run_node(factory: Callable[[], Node], *, args: Sequence[str] | None = None, 
     Returns:
         The process' exit code: 0 after a signal, 1 after an exception.
     """
-    # A pipe and not a threading.Event: an Event set by a handler that interrupts its own wait can lock up.
-    reader, writer = os.pipe()
-    os.set_blocking(writer, False)
+    signals = EndSignals()
     failures: list[BaseException] = []
-
-    def end(*_: Any) -> None:
-        with contextlib.suppress(BlockingIOError):  # full of earlier signals: as good as written
-            os.write(writer, b"x")
-
-    for number in _SIGNALS:
-        signal.signal(number, end)
     try:
         rclpy.init(args=sys.argv if args is None else list(args), signal_handler_options=SignalHandlerOptions.NO)
         node = factory()
@@ -98,13 +86,12 @@ def run_node(factory: Callable[[], Node], *, args: Sequence[str] | None = None, 
             failures.append(error)
             traceback.print_exc()
         finally:
-            end()
+            signals.wake()
 
     thread = threading.Thread(target=spin, name="spin", daemon=True)
     thread.start()
-    os.read(reader, 1)
-    for number in _SIGNALS:
-        signal.signal(number, signal.SIG_IGN)
+    signals.wait()
+    signals.ignore()
     faulthandler.dump_traceback_later(END_TIMEOUT_S, exit=True, file=sys.__stderr__ or sys.stderr)
     try:
         shut_down = getattr(node, "shut_down", None)

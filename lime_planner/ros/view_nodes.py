@@ -48,7 +48,7 @@ def run_with_nodes(args: argparse.Namespace, access: Access) -> int:
     scene = scene_of(argparse.Namespace(**{**vars(args), "scene": args.what, "plant_seed": DEFAULT_SEED}))
     os.environ[TOKEN_VARIABLE] = access.token  # of the node; a parameter could be read by everybody in the ROS graph
     corner, arm = Corner.own(), {"robot": settings.robot}
-    with until_signal() as ended, Processes(corner, _FOLDER / "logs") as nodes:
+    with until_signal() as signals, Processes(corner, _FOLDER / "logs") as nodes:
         clock.say(f"starting planner_node and mock_arm_node in ROS domain {corner.domain}, namespace {corner.namespace}")
         # A browser that draws without a graphics card takes the processor from the simulated arm now and then.
         given = {**arm, "max_joint_state_age_s": 1.0, **values, "viewer_port": port, "viewer_host": access.host}
@@ -60,7 +60,7 @@ def run_with_nodes(args: argparse.Namespace, access: Access) -> int:
         nodes.start("scene_node", "lime_planner.ros.scene_node", {"file": str((_FOLDER / "scene.npz").resolve()), "labelled": True})
         _wait_for_page(access.host, port, nodes)
         announce(access.url(port), access, open_browser=not args.no_browser)
-        while not ended.wait(_CHECK_PERIOD_S):
+        while not signals.wait(_CHECK_PERIOD_S):
             nodes.check()
     return 0
 

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import contextlib
 import os
-import signal
 import sys
-import threading
 import webbrowser
 from collections.abc import Iterator
 
+from lime_planner.signals import EndSignals
 from lime_planner.viewer.access import Access
 
 DEFAULT_PORT = 8080
@@ -27,12 +26,10 @@ def announce(url: str, access: Access, *, open_browser: bool) -> None:
 
 
 @contextlib.contextmanager
-def until_signal() -> Iterator[threading.Event]:
-    """Yield an event that the first Ctrl-C or SIGTERM sets."""
-    ended = threading.Event()
-    before = {number: signal.signal(number, lambda *_: ended.set()) for number in (signal.SIGINT, signal.SIGTERM)}
+def until_signal() -> Iterator[EndSignals]:
+    """Yield what waits for the first Ctrl-C or SIGTERM."""
+    signals = EndSignals()
     try:
-        yield ended
+        yield signals
     finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+        signals.close()
