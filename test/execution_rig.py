@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from ros_fakes import START, FakeRobot, result
 
+from lime_planner.motion import stop as braking
 from lime_planner.motion.trajectory import Trajectory
 from lime_planner.ros.execution import Execution
 from lime_planner.ros.joints import ArmState, JointHistory
@@ -76,6 +77,7 @@ def refusal_of(call: Callable[[], object]) -> tuple[Status, str]:
 
 @pytest.fixture(name="rig")
 def rested() -> Rig:
+    braking.warm_up()  # as a node does: the first stop loads its kernels otherwise
     made = Rig()
     made.rest(START)
     return made

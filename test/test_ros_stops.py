@@ -106,8 +106,10 @@ def test_braking_begins_where_the_arm_is_not_where_the_clock_has_it(rig: Rig) ->
 
 
 @pytest.mark.parametrize(("pace", "lag_s"), [(1.0, 0.0), (0.95, 0.0), (0.9, 0.0), (0.85, 0.0), (1.0, 0.05), (1.0, 0.1), (0.95, 0.1)])
-def test_a_stop_asks_no_speed_of_the_arm_that_it_has_not(pace: float, lag_s: float) -> None:
+def test_a_stop_asks_no_speed_of_the_arm_that_it_has_not(monkeypatch: pytest.MonkeyPatch, pace: float, lag_s: float) -> None:
     """What a joint trajectory controller makes of the stop, at a lower pace, and with an arm that follows it late."""
+    now_s = time.monotonic()
+    monkeypatch.setattr(time, "monotonic", lambda: now_s)
     velocities, accelerations = np.deg2rad([36.0, 36.0, 36.0, 48.0, 48.0, 48.0]), np.full(6, 1.0)
     names = tuple(f"joint_{i}" for i in range(1, 7))
     plan = time_path(np.array([[0.0] * 6, [3.0, 1.0, -1.0, 1.0, 0.5, 1.0]]), velocities, accelerations, joint_names=names)
@@ -118,8 +120,8 @@ def test_a_stop_asks_no_speed_of_the_arm_that_it_has_not(pace: float, lag_s: flo
         wanted = plan.sample(pace * moments)
         q = np.array(wanted) if lag_s == 0.0 else lfilter([step_s / lag_s], [1.0, step_s / lag_s - 1.0], wanted, axis=0)
         speed = (q[-1] - q[-2]) / step_s
-        motion = Motion(1, None, plan, time.monotonic() - at_s, snapshot_from({"controller": "jtc"}))
-        stop = make_stop(robot, motion, ArmState(q[-1], time.monotonic(), 0.0, 0.0), True)
+        motion = Motion(1, None, plan, now_s - at_s, snapshot_from({"controller": "jtc"}))
+        stop = make_stop(robot, motion, ArmState(q[-1], now_s, 0.0, 0.0), True)
         assert stop is not None
         command = Command.from_trajectory(stop)
         assert judge_jtc(command, names, q[-1].tolist()).accepted
