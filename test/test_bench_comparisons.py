@@ -151,10 +151,11 @@ def test_finer_settings_change_one_thing_at_a_time(problem):
     for method in FINER:
         best = candidates(method)[0]
         finer = finer_candidates(method, best)
-        assert method == "pyroboplan" or {"simplify_share": 0.0}.items() <= finer[0].items()  # without the simplifier is a choice
+        if "simplify_share" in best:
+            assert {"simplify_share": 0.0}.items() <= finer[0].items()  # without the simplifier is a choice
         for one in finer:
             assert len({*one.items()} - {*best.items()}) == 1
-    assert finer_candidates("ompl_rrt_connect", {"range": 3.0}) == []
+    assert finer_candidates("lime_star", {"range": 3.0}) == []
     runs = search_runs("ompl_rrt_star", [{"range": 1.0}, {"range": 2.0}], [problem.spec], 2, 1.0, "cpu")
     assert [(run.seed, dict(run.settings)["range"]) for run in runs] == [(1, 1.0), (2, 1.0), (1, 2.0), (2, 2.0)]
 

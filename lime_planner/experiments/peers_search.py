@@ -13,8 +13,8 @@ from lime_planner.experiments.comparison import Run, carry_out
 from lime_planner.experiments.planner_runs import cost_at
 from lime_planner.experiments.problems import ProblemSpec
 
-#: Values that are tried for each setting of a peer, every combination. The rows of the optimising planners and of pyroboplan are what wider
-#: searches without the simplifier left: shorter ranges, other goal biases and nearest neighbours by number were worse there.
+#: Values that are tried for each setting of a peer, every combination. The rows are what wider searches left. With the optimising planners
+#: shorter ranges, other goal biases and nearest neighbours by number were worse; with RRT-Connect longer ranges and smaller steps.
 GRIDS: dict[str, dict[str, Sequence[Any]]] = {
     "ompl_rrt_star": {"range": (5.0, 10.0), "goal_bias": (0.02, 0.05, 0.2), "k_nearest": (False,), "simplify_share": (0.5,)},
     "ompl_informed_rrt_star": {
@@ -31,20 +31,21 @@ GRIDS: dict[str, dict[str, Sequence[Any]]] = {
         "simplify_share": (0.5,),
     },
     "ompl_rrt_connect": {
-        "range": (1.0, 3.0, 10.0),
-        "shorten_rounds": (3, 10, 30),
-        "shorten_step": (0.1, 0.4, 1.0),
-        "shorten_max": (False, True),  # OMPL's whole simplification before the rounds
+        "range": (0.2, 0.5, 1.0),
+        "shorten_rounds": (10, 30, 100),
+        "shorten_step": (0.4, 1.0, 2.0),
+        "shorten_max": (False,),  # True: OMPL's whole simplification before the rounds
     },
-    "pyroboplan": {"max_connection_dist": (3.0,), "shorten_iterations": (10, 30, 100)},
+    "pyroboplan": {"max_connection_dist": (1.0, 3.0), "shorten_iterations": (10, 30, 100)},
 }
 _SIMPLIFY: dict[str, Sequence[Any]] = {"simplify_share": (0.0, 0.25, 0.8), "simplify_rounds": (15,)}
 #: Values that are tried after that, one setting at a time, with the others as they were best: ends of rows go on here.
 FINER: dict[str, dict[str, Sequence[Any]]] = {
-    "ompl_rrt_star": {**_SIMPLIFY, "goal_bias": (0.005,)},
-    "ompl_informed_rrt_star": {**_SIMPLIFY, "goal_bias": (0.95,), "rewire_factor": (0.8,)},
-    "ompl_bit_star": {**_SIMPLIFY, "rewire_factor": (0.9,)},
-    "pyroboplan": {"shorten_iterations": (3,)},
+    "ompl_rrt_star": {**_SIMPLIFY, "goal_bias": (0.005,), "range": (0.3, 1.0)},
+    "ompl_informed_rrt_star": {**_SIMPLIFY, "goal_bias": (0.95,), "rewire_factor": (0.8,), "range": (0.3, 1.0)},
+    "ompl_bit_star": {**_SIMPLIFY, "rewire_factor": (0.9,), "samples_per_batch": (3000,)},
+    "ompl_rrt_connect": {"range": (0.1, 0.3), "shorten_rounds": (60,), "shorten_max": (True,)},
+    "pyroboplan": {"max_connection_dist": (0.3, 10.0), "shorten_iterations": (3,)},
 }
 FAILURE = 100.0  # a run without a path counts as so many times the best cost
 
