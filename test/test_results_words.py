@@ -15,6 +15,7 @@ from conftest import ROOT
 from lime_planner.experiments import comparison_report as compare
 from lime_planner.experiments.kept import read
 from lime_planner.experiments.lime_trials import FIXED, PAPER, VARIANTS
+from lime_planner.experiments.planner_runs import cost_at
 from lime_planner.experiments.results_page import blocks_in, without_blocks
 
 PAGE = (ROOT / "docs" / "results.md").read_text()
@@ -181,6 +182,9 @@ HOLDS: dict[str, Callable[[], bool]] = {
 }
 
 
+NEAREST = "pgt_seedling_0515/0"
+
+
 def best_peer(seconds: float, problem: str) -> float:
     peers = [m for m in compare.methods_of(kept("peers")) if m != compare.DEFAULT]
     return min(compare.problem_medians(kept("peers"), m, seconds)[problem] for m in peers)
@@ -204,14 +208,27 @@ def near_on_two() -> bool:
     ours = compare.problem_medians(kept("peers"), compare.DEFAULT, 0.5)
     bit_star = compare.problem_medians(kept("peers"), "ompl_bit_star", 5.0)
     near = {problem for problem, cost in ours.items() if best_peer(5.0, problem) < 1.01 * cost}
-    return near == {"pgt_seedling_0515/0", "sparse-11/3"} and all(bit_star[p] == best_peer(5.0, p) for p in near)
+    return near == {NEAREST, "sparse-11/3"} and all(bit_star[p] == best_peer(5.0, p) for p in near)
+
+
+def less_than_between_seeds() -> bool:
+    """Whether BIT* is ahead by less than the span of the seeds' costs, of its own as of the default planner's, at the same times."""
+    ours: list[float] = []
+    its: list[float] = []
+    for t in kept("peers")["trials"]:
+        if t["problem"] == NEAREST and t["method"] in (compare.DEFAULT, "ompl_bit_star"):
+            at_s, costs = (0.5, ours) if t["method"] == compare.DEFAULT else (5.0, its)
+            costs.append(cost_at(t["curve"], at_s))
+    lead = float(np.median(ours)) - float(np.median(its))
+    return len(ours) == len(its) >= 3 and 0.0 <= lead < min(max(ours) - min(ours), max(its) - min(its))
 
 
 #: And of the comparison with other libraries.
 HOLDS_FOR_PEERS: dict[str, Callable[[], bool]] = {
-    "ahead of every peer with ten times the time** on all problems": lambda: not_ahead() == [],
+    "ahead of every peer with ten times the time** on all problems but `pgt_seedling_0515/0`": lambda: not_ahead() == [NEAREST],
     "the nearest peer's paths cost more than a quarter more than its own at every time": more_than_a_quarter_more,
     "On `pgt_seedling_0515/0` and `sparse-11/3` BIT\\* with ten times the time comes within a hundredth of it": near_on_two,
+    "lower by a hair's breadth, less than what lies between two seeds of either planner": less_than_between_seeds,
 }
 EVERYTHING = HOLDS | HOLDS_FOR_PEERS
 
