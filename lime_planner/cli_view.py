@@ -76,8 +76,8 @@ def run(args: argparse.Namespace) -> int:
     try:
         page = Page(desk, access, port)
         try:
-            announce(page.url, access, open_browser=not args.no_browser)
             with until_signal() as signals:
+                announce(page.url, access, open_browser=not args.no_browser)
                 signals.wait()
         finally:
             page.close()

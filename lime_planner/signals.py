@@ -6,6 +6,7 @@ import contextlib
 import os
 import select
 import signal
+import threading
 import time
 
 #: What ends a program of this package.
@@ -14,29 +15,38 @@ _WOKEN = 0  # no signal has this number
 
 
 class EndSignals:
-    """SIGINT and SIGTERM as bytes in a pipe, from when it is made until `close`. For the main thread, which alone may set handlers.
+    """SIGINT and SIGTERM as bytes in a pipe, from when it is made until `close`.
 
     Handlers written in Python run in the main thread only, between two of its instructions. A signal that another thread receives, or that
     comes right before the main thread begins to wait, would lie there until that wait is over by itself, which may be never. The
     interpreter itself writes to this pipe at once, whatever its threads do (`signal.set_wakeup_fd`).
+
+    Raises:
+        ValueError: made outside of the main thread, which alone may set handlers.
     """
 
     def __init__(self) -> None:
+        if threading.current_thread() is not threading.main_thread():
+            raise ValueError("signals can be waited for in the main thread only")
+        self._ended = False
         self._reader, self._writer = os.pipe()
         os.set_blocking(self._writer, False)
-        # Without a handler of its own a signal would not be written but do what it does by default.
-        self._handlers = {number: signal.signal(number, lambda *_: None) for number in ENDING}
+        # The pipe first, then the handlers: what comes in between does what it did before, and nothing is lost. Without a handler of its
+        # own a signal would not be written.
         self._descriptor = signal.set_wakeup_fd(self._writer, warn_on_full_buffer=False)
+        self._handlers = {number: signal.signal(number, lambda *_: None) for number in ENDING}
 
     def wait(self, timeout_s: float | None = None) -> bool:
-        """Return True after the first signal since this was made, or after `wake`; False when the time is over before."""
+        """Whether a signal came since this was made, or `wake` was called; waits for it, for `timeout_s` at most."""
         deadline_s = None if timeout_s is None else time.monotonic() + timeout_s
-        while True:
-            left_s = None if deadline_s is None else max(deadline_s - time.monotonic(), 0.0)
-            if not select.select([self._reader], [], [], left_s)[0]:
+        poll = select.poll()  # select() takes no descriptor above 1,023
+        poll.register(self._reader, select.POLLIN)
+        while not self._ended:
+            left_ms = None if deadline_s is None else max(1e3 * (deadline_s - time.monotonic()), 0.0)
+            if not poll.poll(left_ms):
                 return False
-            if os.read(self._reader, 1)[0] in (_WOKEN, *ENDING):  # other signals' handlers write as well
-                return True
+            self._ended = os.read(self._reader, 1)[0] in (_WOKEN, *ENDING)  # other signals' handlers write as well
+        return True
 
     def wake(self) -> None:
         """End the wait without a signal, from any thread."""

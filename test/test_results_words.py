@@ -228,7 +228,7 @@ HOLDS_FOR_PEERS: dict[str, Callable[[], bool]] = {
     "ahead of every peer with ten times the time** on all problems but `pgt_seedling_0515/0`": lambda: not_ahead() == [NEAREST],
     "the nearest peer's paths cost more than a quarter more than its own at every time": more_than_a_quarter_more,
     "On `pgt_seedling_0515/0` and `sparse-11/3` BIT\\* with ten times the time comes within a hundredth of it": near_on_two,
-    "lower by a hair's breadth, less than what lies between two seeds of either planner": less_than_between_seeds,
+    "lower by a hair's breadth, less than the span of either planner's own seeds": less_than_between_seeds,
 }
 EVERYTHING = HOLDS | HOLDS_FOR_PEERS
 

@@ -39,7 +39,7 @@ GRIDS: dict[str, dict[str, Sequence[Any]]] = {
     "pyroboplan": {"max_connection_dist": (1.0, 3.0), "shorten_iterations": (10, 30, 100)},
 }
 _SIMPLIFY: dict[str, Sequence[Any]] = {"simplify_share": (0.0, 0.25, 0.8), "simplify_rounds": (15,)}
-#: Values that are tried after that, one setting at a time, with the others as they were best: ends of rows go on here.
+#: Values that are tried after that, one setting at a time, with the others as they were best: most ends of rows go on here.
 FINER: dict[str, dict[str, Sequence[Any]]] = {
     "ompl_rrt_star": {**_SIMPLIFY, "goal_bias": (0.005,), "range": (0.3, 1.0)},
     "ompl_informed_rrt_star": {**_SIMPLIFY, "goal_bias": (0.95,), "rewire_factor": (0.8,), "range": (0.3, 1.0)},
