@@ -39,7 +39,7 @@ def test_requests_wait_for_the_warm_up_and_others_do_not() -> None:
             time.sleep(0.2)
             began = time.monotonic()
             bench.call("stop")
-            assert time.monotonic() - began < 1.0  # the kernels take longer
+            assert time.monotonic() - began < 0.2
             assert code_of(bench.result(waiting).message) == "CANCELLED"
             assert bench.call("plan").success
         finally:

@@ -67,7 +67,7 @@ def test_stop_cancels_planning_and_succeeds_when_idle(bench: Bench) -> None:
     assert plan_id(response.message) == plan_id(bench.result(running).message)
     assert "target 0.3000 9.0000 0.4000 in base stamped" in response.message
     assert code_of(bench.result(running).message) == "CANCELLED"
-    assert time.monotonic() - began < 1.0  # by itself the plan would end in a minute
+    assert time.monotonic() - began < 0.3
     assert not bench.commands
 
 
@@ -87,7 +87,7 @@ def test_a_deadline_holds_for_the_whole_request(bench: Bench) -> None:
         began = time.monotonic()
         message = bench.call("preview").message
         assert message.startswith("TIMED_OUT: the deadline of 0.90 s passed") and "target 0.3000 9.0000" in message
-        assert 0.85 < time.monotonic() - began < 1.5
+        assert 0.85 < time.monotonic() - began < 1.2
         bench.send_target(SLOW)  # takes 0.6 s: time enough for one plan, but not for another one after a stem came
         time.sleep(0.2)
         planning = bench.call_async("plan")

@@ -22,21 +22,12 @@ def signals() -> Iterator[EndSignals]:
     waiting.close()
 
 
-def _later(call: object, *arguments: object) -> threading.Thread:
-    def run() -> None:
-        time.sleep(0.2)
-        call(*arguments)  # type: ignore[operator]
-
-    thread = threading.Thread(target=run)
-    thread.start()
-    return thread
-
-
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_that_another_thread_receives_ends_the_wait(signals: EndSignals, number: int) -> None:
-    thread = _later(lambda: signal.pthread_kill(threading.get_ident(), number))
+    other = threading.Timer(0.2, lambda: signal.pthread_kill(threading.get_ident(), number))
+    other.start()
     assert signals.wait(20.0)
-    thread.join()
+    other.join()
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
@@ -94,9 +85,10 @@ def test_the_wait_ends_by_itself_and_by_a_wake_but_not_by_other_signals(signals:
         assert 0.25 < time.monotonic() - began_s < 5.0
     finally:
         signal.signal(signal.SIGUSR1, before)
-    thread = _later(signals.wake)
+    other = threading.Timer(0.2, signals.wake)
+    other.start()
     assert signals.wait(20.0)
-    thread.join()
+    other.join()
 
 
 def test_what_was_there_before_comes_back() -> None:
