@@ -59,10 +59,10 @@ EXTRAS_REQUIRE = {
 }
 
 CONSOLE_SCRIPTS = [
-    "planner_node = lime_planner.ros.planner_node:main",
-    "mock_arm_node = lime_planner.ros.mock_arm_node:main",
-    "scene_node = lime_planner.ros.scene_node:main",
-    "lime-planner = lime_planner.cli:main",
+    "planner_node = lime_planner.ros.nodes.planner_node:main",
+    "mock_arm_node = lime_planner.ros.nodes.mock_arm_node:main",
+    "scene_node = lime_planner.ros.nodes.scene_node:main",
+    "lime-planner = lime_planner.cli.main:main",
 ]
 
 

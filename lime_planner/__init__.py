@@ -19,15 +19,15 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from lime_planner.api import draw, plan
-    from lime_planner.errors import LimePlannerError
-    from lime_planner.parameters import Settings, settings_from
+    from lime_planner.core.errors import LimePlannerError
+    from lime_planner.core.geometry import matrix_to_pose, pose_to_matrix
+    from lime_planner.core.parameters import Settings, settings_from
+    from lime_planner.core.status import Status
     from lime_planner.pipeline import Pipeline, PlanResult
-    from lime_planner.poses import matrix_to_pose, pose_to_matrix
     from lime_planner.robot.model import Robot
-    from lime_planner.scene.plant import PlantOptions, generate_plant
+    from lime_planner.scene.plants.generator import PlantOptions, generate_plant
+    from lime_planner.scene.plants.grasp_targets import grasp_pose
     from lime_planner.scene.scene import Scene
-    from lime_planner.scene.targets import grasp_pose
-    from lime_planner.status import Status
 
 __version__ = "0.1.0"
 
@@ -51,15 +51,15 @@ __all__ = [
 
 _MODULES = {
     "lime_planner.api": ("draw", "plan"),
-    "lime_planner.errors": ("LimePlannerError",),
-    "lime_planner.parameters": ("Settings", "settings_from"),
+    "lime_planner.core.errors": ("LimePlannerError",),
+    "lime_planner.core.parameters": ("Settings", "settings_from"),
     "lime_planner.pipeline": ("Pipeline", "PlanResult"),
-    "lime_planner.poses": ("matrix_to_pose", "pose_to_matrix"),
+    "lime_planner.core.geometry": ("matrix_to_pose", "pose_to_matrix"),
     "lime_planner.robot.model": ("Robot",),
-    "lime_planner.scene.plant": ("PlantOptions", "generate_plant"),
+    "lime_planner.scene.plants.generator": ("PlantOptions", "generate_plant"),
     "lime_planner.scene.scene": ("Scene",),
-    "lime_planner.scene.targets": ("grasp_pose",),
-    "lime_planner.status": ("Status",),
+    "lime_planner.scene.plants.grasp_targets": ("grasp_pose",),
+    "lime_planner.core.status": ("Status",),
 }
 _HOME_OF = {name: module for module, names in _MODULES.items() for name in names}
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 
-from lime_planner.cli import main
+from lime_planner.cli.main import main
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -11,12 +11,12 @@ from typing import Any
 
 import numpy.typing as npt
 
-from lime_planner.checked import floats
-from lime_planner.errors import ParameterError, ProblemError, SceneError
-from lime_planner.parameters import NODE_PARAMETERS, settings_from
+from lime_planner.core.errors import ParameterError, ProblemError, SceneError
+from lime_planner.core.geometry import matrix_to_pose, pose_to_matrix
+from lime_planner.core.parameters import NODE_PARAMETERS, settings_from
+from lime_planner.core.validation import floats
 from lime_planner.pipeline import Pipeline, PlanResult
-from lime_planner.pipeline.steps import checked_deadline, checked_start, checked_target, never
-from lime_planner.poses import matrix_to_pose, pose_to_matrix
+from lime_planner.pipeline.context import checked_deadline, checked_start, checked_target, never
 from lime_planner.robot.model import Robot
 from lime_planner.scene.scene import Scene
 
@@ -106,8 +106,8 @@ def draw(result: PlanResult, scene: Scene, robot: Robot, path: str | os.PathLike
     Raises:
         ParameterError: a suffix that is not supported, or a file that cannot be written.
     """
-    from lime_planner.viewer.picture import draw_picture
-    from lime_planner.viewer.tables import headline
+    from lime_planner.output.console import headline
+    from lime_planner.output.picture import draw_picture
 
     found = len(result.waypoints) > 0
     return draw_picture(

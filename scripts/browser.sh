@@ -8,7 +8,7 @@ root=$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd)
 python=$root/.venv/bin/python
 
 say() { printf 'browser: %s\n' "$*"; }
-found() { "$python" "$root/test/browser.py" >/dev/null 2>&1; }
+found() { "$python" "$root/test/helpers/browser.py" >/dev/null 2>&1; }
 
 found && exit 0
 sudo=()

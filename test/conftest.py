@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-ROOT = Path(__file__).resolve().parent.parent
+ROOT = Path(__file__).resolve().parents[1]
 
 # Set before rclpy is imported anywhere: wrong field types raise instead of arriving as garbage, and tests stay on this machine.
 os.environ.setdefault("ROS_PYTHON_CHECK_FIELDS", "1")

@@ -11,8 +11,8 @@ from arm_helpers import plant, robot_named
 
 from lime_planner import PlanResult, PlantOptions, Robot, Scene, Status, draw, generate_plant, plan
 from lime_planner.api import _warm_pipeline
-from lime_planner.errors import ParameterError, ProblemError, SceneError
-from lime_planner.poses import matrix_to_pose, pose_to_matrix
+from lime_planner.core.errors import ParameterError, ProblemError, SceneError
+from lime_planner.core.geometry import matrix_to_pose, pose_to_matrix
 from lime_planner.robot.model import load_robot
 from lime_planner.scene.files import load_scene
 
@@ -62,7 +62,7 @@ def test_a_result_is_saved_as_the_command_line_saves_it(result: PlanResult, tmp_
 
 def test_found_and_refused_plans_are_drawn(robot: Robot, result: PlanResult, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     given = {}
-    monkeypatch.setattr("lime_planner.viewer.picture.draw_picture", lambda *args, **options: given.update(options) or args[0])
+    monkeypatch.setattr("lime_planner.output.picture.draw_picture", lambda *args, **options: given.update(options) or args[0])
     assert draw(result, plant(15), robot, tmp_path / "a.png") == tmp_path / "a.png"
     assert given["q_goal"] == pytest.approx(result.waypoints[-1]) and "leaf contact" in given["title"]
     start = robot.home + 0.1

@@ -14,7 +14,7 @@ import pytest
 
 import lime_planner
 
-ROOT = Path(__file__).resolve().parent.parent
+ROOT = Path(__file__).resolve().parents[1]
 MANIFEST = ET.parse(ROOT / "package.xml").getroot()
 SCRIPTS = ("lime-planner", "mock_arm_node", "planner_node", "scene_node")
 

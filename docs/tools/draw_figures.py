@@ -20,12 +20,12 @@ from matplotlib.patches import FancyArrowPatch, FancyBboxPatch
 
 from lime_planner import Robot, generate_plant, plan
 from lime_planner.api import _warm_pipeline
-from lime_planner.parameters import settings_from
+from lime_planner.core.geometry import pose_to_matrix
+from lime_planner.core.parameters import settings_from
 from lime_planner.pipeline.finish import leaf_profile
 from lime_planner.pipeline.goals import find_goals, measure, sampling_box
-from lime_planner.planning.lime_options import LimeOptions
-from lime_planner.planning.lime_star import plan_lime
-from lime_planner.poses import pose_to_matrix
+from lime_planner.planning.lime_star.options import LimeOptions
+from lime_planner.planning.lime_star.planner import plan_lime
 
 FIGURES = Path(__file__).resolve().parent.parent / "figures"
 GREEN, BROWN, BLUE, ORANGE, SKY, GREY = "#009e73", "#7a4a1e", "#0072b2", "#d55e00", "#56b4e9", "#777777"

@@ -20,12 +20,12 @@ os.environ.setdefault("ROS_DOMAIN_ID", str(60 + os.getpid() % 40))
 import rclpy
 from rclpy.node import Node
 
-from lime_planner.errors import RobotError
-from lime_planner.ros.mock_arm_node import MockArmNode
-from lime_planner.ros.mock_arm_parameters import TABLE
-from lime_planner.ros.planner_node import PlannerNode
-from lime_planner.ros.scene_node import _PARAMETERS as SCENE_PARAMETERS
-from lime_planner.ros.scene_node import SceneNode
+from lime_planner.core.errors import RobotError
+from lime_planner.ros.nodes.mock_arm_node import MockArmNode
+from lime_planner.ros.nodes.mock_arm_parameters import TABLE
+from lime_planner.ros.nodes.planner_node import PlannerNode
+from lime_planner.ros.nodes.scene_node import _PARAMETERS as SCENE_PARAMETERS
+from lime_planner.ros.nodes.scene_node import SceneNode
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 from reference import parameter_table

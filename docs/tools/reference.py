@@ -7,9 +7,9 @@ import re
 import xml.etree.ElementTree as ET
 from pathlib import Path
 
-from lime_planner import cli
-from lime_planner.parameters import NODE_PARAMETERS, PARAMETERS, Parameter
-from lime_planner.status import Status
+from lime_planner.cli import main as cli
+from lime_planner.core.parameters import NODE_PARAMETERS, PARAMETERS, Parameter
+from lime_planner.core.status import Status
 
 POLICY = Path(__file__).resolve().parents[2] / "config" / "sros2_policy.xml"
 

@@ -15,14 +15,14 @@ from browser import chromium
 from PIL import Image
 from playwright.sync_api import Page as Tab
 
-from lime_planner.parameters import settings_from
+from lime_planner.core.parameters import settings_from
 from lime_planner.robot.model import load_robot
-from lime_planner.ros.demo import DEFAULT_SEED
-from lime_planner.scene.plant import generate_plant
+from lime_planner.ros.demo.demo import DEFAULT_SEED
+from lime_planner.scene.plants.generator import generate_plant
 from lime_planner.viewer.access import Access
 from lime_planner.viewer.backend import Activity
-from lime_planner.viewer.desk import Desk
 from lime_planner.viewer.page import Page
+from lime_planner.viewer.scene_backend import Desk
 
 FIGURES = Path(__file__).resolve().parents[1] / "figures"
 SIZE = {"width": 1280, "height": 760}

@@ -143,7 +143,7 @@ def _judge(requirement: Requirement, loaded: Loaded) -> Finding:
 
 
 def _robot_data(requirement: Requirement) -> Finding:
-    from lime_planner.errors import RobotError
+    from lime_planner.core.errors import RobotError
     from lime_planner.robot.builtin import BUILTIN_ARMS, read_builtin
 
     try:

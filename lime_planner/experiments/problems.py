@@ -10,17 +10,17 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from lime_planner.errors import ParameterError, ProblemError
-from lime_planner.parameters import Settings, settings_from
-from lime_planner.pipeline.core import Pipeline
+from lime_planner.collision.joint_space import ArmSpace
+from lime_planner.core.errors import ParameterError, ProblemError
+from lime_planner.core.geometry import pose_to_matrix
+from lime_planner.core.parameters import Settings, settings_from
 from lime_planner.pipeline.goals import Goals, find_goals, sampling_box
 from lime_planner.pipeline.obstacles import Obstacles
-from lime_planner.planning import paper_kernels
-from lime_planner.poses import pose_to_matrix
-from lime_planner.robot.arm_space import ArmSpace
+from lime_planner.pipeline.pipeline import Pipeline
+from lime_planner.planning.rrt_star import kernels as paper_kernels
 from lime_planner.robot.model import load_robot
 from lime_planner.scene.files import load_scene
-from lime_planner.scene.plant import PlantOptions, generate_plant
+from lime_planner.scene.plants.generator import PlantOptions, generate_plant
 from lime_planner.scene.scene import Scene
 
 Array = npt.NDArray[np.float64]

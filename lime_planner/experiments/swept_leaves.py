@@ -14,8 +14,8 @@ from weakref import WeakKeyDictionary
 import numpy as np
 import numpy.typing as npt
 
-from lime_planner.errors import SceneError
-from lime_planner.jit import kernel
+from lime_planner.core.errors import SceneError
+from lime_planner.core.jit import kernel
 from lime_planner.motion.trajectory import Trajectory
 from lime_planner.robot.meshes import LinkMesh, bvh_of
 from lime_planner.robot.model import Robot

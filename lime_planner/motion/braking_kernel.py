@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from lime_planner.jit import kernel
+from lime_planner.core.jit import kernel
 
 Array = npt.NDArray[np.float64]
 

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from lime_planner.errors import ProblemError
+from lime_planner.core.errors import ProblemError
 from lime_planner.motion.timing import MINIMUM_DT_S
 from lime_planner.motion.trajectory import Trajectory
 

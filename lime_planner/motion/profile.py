@@ -13,7 +13,7 @@ import numpy.typing as npt
 from toppra.algorithm import TOPPRA
 from toppra.constraint import DiscretizationType, JointAccelerationConstraint, LinearConstraint
 
-from lime_planner.errors import LimePlannerError
+from lime_planner.core.errors import LimePlannerError
 from lime_planner.motion.blend import BlendedPath
 
 Array = npt.NDArray[np.float64]

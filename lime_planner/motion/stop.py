@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from lime_planner.errors import ProblemError
+from lime_planner.core.errors import ProblemError
 from lime_planner.motion.braking_kernel import brake
 from lime_planner.motion.trajectory import Trajectory
 

@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from lime_planner.errors import LimePlannerError, ProblemError
+from lime_planner.core.errors import LimePlannerError, ProblemError
 from lime_planner.motion.blend import BlendedPath, thin
 from lime_planner.motion.trajectory import Trajectory
 

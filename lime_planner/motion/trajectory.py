@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from lime_planner.errors import ProblemError
+from lime_planner.core.errors import ProblemError
 
 Array = npt.NDArray[np.float64]
 

@@ -9,18 +9,18 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from lime_planner.collision.exact import ExactChecker
+from lime_planner.collision.fast import LEAF
+from lime_planner.collision.joint_space import measure
+from lime_planner.core.geometry import matrix_to_pose
+from lime_planner.core.parameters import Settings
+from lime_planner.core.status import Status
 from lime_planner.motion.contract import violations
 from lime_planner.motion.timing import time_path
 from lime_planner.motion.trajectory import Trajectory
-from lime_planner.parameters import Settings
+from lime_planner.pipeline.context import Stopped
 from lime_planner.pipeline.obstacles import Obstacles
-from lime_planner.pipeline.steps import Stopped
-from lime_planner.poses import matrix_to_pose
-from lime_planner.robot.arm_space import measure
-from lime_planner.robot.collision import LEAF
-from lime_planner.robot.exact import ExactChecker
 from lime_planner.robot.model import Robot
-from lime_planner.status import Status
 
 Array = npt.NDArray[np.float64]
 

@@ -7,14 +7,14 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from lime_planner.collision.exact import ExactChecker
+from lime_planner.collision.fast import LEAF, SELF
+from lime_planner.collision.joint_space import ArmSpace
+from lime_planner.collision.joint_space import measure as arm_measure
+from lime_planner.collision.self_contact import SELF_CLEARANCE_M
+from lime_planner.core.status import Status
 from lime_planner.pipeline.obstacles import Obstacles
-from lime_planner.robot.arm_space import ArmSpace
-from lime_planner.robot.arm_space import measure as arm_measure
-from lime_planner.robot.collision import LEAF, SELF
-from lime_planner.robot.exact import ExactChecker
 from lime_planner.robot.ik import solve_ik
-from lime_planner.robot.self_contact import SELF_CLEARANCE_M
-from lime_planner.status import Status
 
 Array = npt.NDArray[np.float64]
 

@@ -9,15 +9,15 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from lime_planner.parameters import Settings
-from lime_planner.pipeline.steps import ask, never
-from lime_planner.robot.arm_space import ArmSpace, make_arm_space
-from lime_planner.robot.collision import GRADED_CELL_M
-from lime_planner.robot.exact import ExactChecker
+from lime_planner.collision.distance_fields import build_fields
+from lime_planner.collision.exact import ExactChecker
+from lime_planner.collision.fast import GRADED_CELL_M
+from lime_planner.collision.joint_space import ArmSpace, make_arm_space
+from lime_planner.collision.link_shapes import Shapes
+from lime_planner.collision.world import BINARY, GRADED, World, empty_world
+from lime_planner.core.parameters import Settings
+from lime_planner.pipeline.context import ask, never
 from lime_planner.robot.model import Robot
-from lime_planner.robot.shapes import Shapes
-from lime_planner.robot.world import BINARY, GRADED, World, empty_world
-from lime_planner.scene.fields import build_fields
 from lime_planner.scene.scene import Scene
 from lime_planner.scene.voxels import thin
 

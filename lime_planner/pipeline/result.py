@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from lime_planner.atomic import write_json
+from lime_planner.core.atomic_files import write_json
+from lime_planner.core.geometry import matrix_to_pose
+from lime_planner.core.parameters import PARAMETERS, Settings
+from lime_planner.core.status import Status
 from lime_planner.motion.trajectory import Trajectory
-from lime_planner.parameters import PARAMETERS, Settings
-from lime_planner.poses import matrix_to_pose
 from lime_planner.robot.model import Robot
-from lime_planner.status import Status
 
 Array = npt.NDArray[np.float64]
 

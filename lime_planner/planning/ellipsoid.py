@@ -9,9 +9,9 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from lime_planner.jit import kernel
-from lime_planner.planning.random import normal, uniform
-from lime_planner.space import distance
+from lime_planner.core.jit import kernel
+from lime_planner.planning.sampling import normal, uniform
+from lime_planner.planning.space import distance
 
 
 @kernel

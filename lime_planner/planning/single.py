@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from lime_planner.jit import kernel
-from lime_planner.space import edge, evaluate
+from lime_planner.core.jit import kernel
+from lime_planner.planning.space import edge, evaluate
 
 
 @kernel

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from importlib import resources, util
 from pathlib import Path
 
-from lime_planner.errors import RobotError
+from lime_planner.core.errors import RobotError
 
 #: Tool convention of both models, as a URDF's rpy [rad].
 TOOL_RPY = "3.141592653589793 0 1.5707963267948966"

@@ -15,7 +15,7 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from lime_planner.errors import ProblemError
+from lime_planner.core.errors import ProblemError
 from lime_planner.robot.ik_kernels import pose_error, solve_many
 from lime_planner.robot.model import Robot
 

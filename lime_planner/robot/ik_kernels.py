@@ -7,7 +7,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from lime_planner.jit import kernel
+from lime_planner.core.jit import kernel
 from lime_planner.robot.kinematics import Chain, forward_kinematics, tool_jacobian, tool_pose
 
 Array = npt.NDArray[np.float64]

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from lime_planner.jit import hot_kernel
+from lime_planner.core.jit import hot_kernel
 
 Array = npt.NDArray[np.float64]
 

@@ -9,7 +9,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 import numpy.typing as npt
 
-from lime_planner.errors import RobotError
+from lime_planner.core.errors import RobotError
 
 Array = npt.NDArray[np.float64]
 

@@ -15,12 +15,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from lime_planner.errors import RobotError
+from lime_planner.core.errors import RobotError
 from lime_planner.robot.builtin import BUILTIN_ARMS, TOOL_RPY, read_builtin, share_directories
 from lime_planner.robot.kinematics import Chain, forward_kinematics, tool_pose
 from lime_planner.robot.meshes import LinkMesh
 from lime_planner.robot.pairs import find_collision_pairs, touches_itself
-from lime_planner.robot.tree import read_tree
+from lime_planner.robot.serial_chain import read_tree
 from lime_planner.robot.urdf import parse_urdf, resolve_meshes, set_joint_rpy
 
 __all__ = ["LinkMesh", "Robot", "home", "load_robot", "robot_from_urdf"]

@@ -8,7 +8,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from urllib.parse import unquote, urlparse
 
-from lime_planner.errors import RobotError
+from lime_planner.core.errors import RobotError
 
 _SHAPES: dict[str, dict[str, int]] = {"mesh": {}, "box": {"size": 3}, "cylinder": {"radius": 1, "length": 1}, "sphere": {"radius": 1}}
 _JOINTS = ("fixed", "revolute", "continuous", "prismatic", "floating", "planar")

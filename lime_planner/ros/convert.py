@@ -17,11 +17,11 @@ from nav_msgs.msg import Path
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from lime_planner.errors import ProblemError
+from lime_planner.core.errors import ProblemError
+from lime_planner.core.geometry import matrix_to_pose, pose_to_matrix
+from lime_planner.core.refusal import Refusal
+from lime_planner.core.status import Status
 from lime_planner.motion.trajectory import Trajectory
-from lime_planner.poses import matrix_to_pose, pose_to_matrix
-from lime_planner.ros.refusal import Refusal
-from lime_planner.status import Status
 
 Array = npt.NDArray[np.float64]
 

@@ -10,9 +10,9 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-from lime_planner.errors import ProblemError, SceneError
-from lime_planner.poses import pose_to_matrix
-from lime_planner.transforms import TransformTree
+from lime_planner.core.errors import ProblemError, SceneError
+from lime_planner.core.geometry import pose_to_matrix
+from lime_planner.core.transforms import TransformTree
 
 CLOUD = "sensor_msgs/msg/PointCloud2"
 POSE = "geometry_msgs/msg/PoseStamped"

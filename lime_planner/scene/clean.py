@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 import numpy.typing as npt
 
-from lime_planner.errors import SceneError
+from lime_planner.core.errors import SceneError
 from lime_planner.scene.scene import Scene
 from lime_planner.scene.voxels import displacement, lonely, thin
 

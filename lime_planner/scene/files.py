@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from lime_planner.errors import SceneError
+from lime_planner.core.errors import SceneError
 from lime_planner.scene.ply_pcd import read_cloud, write_cloud
 from lime_planner.scene.scene import DEFAULT_FRAME, FRUIT, LEAF, STEM, Scene
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 
-from lime_planner.errors import ParameterError
-from lime_planner.parameters import NODE_PARAMETERS
+from lime_planner.core.errors import ParameterError
+from lime_planner.core.parameters import NODE_PARAMETERS
 
 
 def fruit_in_force(

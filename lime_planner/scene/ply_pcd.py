@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from lime_planner.errors import SceneError
+from lime_planner.core.errors import SceneError
 
 _MAX_HEADER_BYTES = 65_536
 _PLY_BYTES = {

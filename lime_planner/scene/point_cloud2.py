@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from lime_planner.errors import SceneError
+from lime_planner.core.errors import SceneError
 
 #: NumPy types (without byte order) of `PointField.datatype`.
 TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from lime_planner.errors import ParameterError, SceneError
+from lime_planner.core.errors import ParameterError, SceneError
 from lime_planner.scene.labels import fruit_label_in_force
 
 #: Labels of the points in scene files and clouds; every other label is impermeable.

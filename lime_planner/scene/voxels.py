@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from lime_planner.jit import kernel
+from lime_planner.core.jit import kernel
 
 _SPAN = 1 << 20  # cells on either side of the origin that a key can hold: a kilometre of millimetres
 _HASH = np.uint64(0x9E3779B97F4A7C15)

@@ -17,7 +17,7 @@ from dataclasses import dataclass, field
 from http.cookies import CookieError, SimpleCookie
 from urllib.parse import parse_qs, urlsplit
 
-from lime_planner.errors import ParameterError
+from lime_planner.core.errors import ParameterError
 
 COOKIE = "lime_planner_token"
 LOOPBACK = ("127.0.0.1", "::1", "localhost")

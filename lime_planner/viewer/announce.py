@@ -8,7 +8,7 @@ import sys
 import webbrowser
 from collections.abc import Iterator
 
-from lime_planner.signals import EndSignals
+from lime_planner.core.signals import EndSignals
 from lime_planner.viewer.access import Access
 
 DEFAULT_PORT = 8080

@@ -1,4 +1,4 @@
-"""What the page asks of whoever plans and moves: a scene file's desk (`lime_planner.viewer.desk`) or a running planner node.
+"""What the page asks of whoever plans and moves: a scene file's desk (`lime_planner.viewer.scene_backend`) or a running planner node.
 
 The page looks at one immutable `Moment` some twenty times a second and compares what it holds by identity; it never waits for
 anybody, and nobody ever waits for it.
@@ -14,7 +14,7 @@ from typing import Any, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from lime_planner.parameters import Settings, validate
+from lime_planner.core.parameters import Settings, validate
 from lime_planner.pipeline import Pipeline, PlanResult
 from lime_planner.robot.model import Robot
 from lime_planner.scene.scene import Scene

@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from lime_planner.parameters import PLANNERS, Settings
-from lime_planner.status import Status
+from lime_planner.core.parameters import PLANNERS, Settings
+from lime_planner.core.status import Status
+from lime_planner.output.console import cell
 from lime_planner.viewer.backend import Activity, Moment, Shown
-from lime_planner.viewer.tables import cell
 
 Array = npt.NDArray[np.float64]
 

@@ -10,11 +10,11 @@ import numpy.typing as npt
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
+from lime_planner.output.picture import ARM, FREE_PATH, LEAFY_PATH, LIME, STEM
+from lime_planner.output.timeline import Insight
 from lime_planner.robot.model import Robot
 from lime_planner.scene.scene import Scene
-from lime_planner.viewer.insight import Insight
 from lime_planner.viewer.nodes import set_visible
-from lime_planner.viewer.picture import ARM, FREE_PATH, LEAFY_PATH, LIME, STEM
 
 Array = npt.NDArray[np.float64]
 Colour = tuple[int, int, int]

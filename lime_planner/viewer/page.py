@@ -14,19 +14,19 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from lime_planner.output.timeline import Insight, look_into
 from lime_planner.robot.model import Robot
 from lime_planner.scene.scene import Scene
 from lime_planner.viewer.access import Access
 from lime_planner.viewer.backend import Activity, Backend, Moment, Shown, Wishes
 from lime_planner.viewer.controls import Commands, Controls, ask_before_moving
-from lime_planner.viewer.extras import Extras
-from lime_planner.viewer.insight import Insight, look_into
+from lime_planner.viewer.debug_layers import Extras
+from lime_planner.viewer.empty_page import Starting
 from lime_planner.viewer.layers import Arm, Plant, ToolPath, Touched, ghost_arm, measured_arm
 from lime_planner.viewer.player import Player
 from lime_planner.viewer.plots import Plots
 from lime_planner.viewer.serving import start_server, stop_server
-from lime_planner.viewer.starting import Starting
-from lime_planner.viewer.target import TargetMarker
+from lime_planner.viewer.target_marker import TargetMarker
 
 Array = npt.NDArray[np.float64]
 

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from lime_planner.viewer.insight import CLEARANCE_SHOWN_M, Insight
-from lime_planner.viewer.picture import FREE_PATH, LEAFY_PATH, STEM
+from lime_planner.output.picture import FREE_PATH, LEAFY_PATH, STEM
+from lime_planner.output.timeline import CLEARANCE_SHOWN_M, Insight
 
 Array = npt.NDArray[np.float64]
 

@@ -15,7 +15,7 @@ import threading
 from collections.abc import Awaitable, Callable, Iterator
 from typing import Any
 
-from lime_planner.errors import ParameterError
+from lime_planner.core.errors import ParameterError
 from lime_planner.viewer.access import Access
 
 _starting = threading.Lock()

@@ -1,0 +1,207 @@
+"""`lime-planner`: planning, scenes and experiments without a ROS graph. Commands live in modules of their own and load when called.
+
+A command's module provides `add_arguments(parser)` and `run(args) -> exit status`, and imports nothing heavy at module level.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import os
+import re
+import sys
+import traceback
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+from lime_planner import __version__
+from lime_planner.core.errors import LimePlannerError
+from lime_planner.core.status import Status
+
+_CHECKOUT = Path(__file__).resolve().parents[2]
+
+
+@dataclass(frozen=True)
+class Command:
+    """A command: its words, the module that carries it out, one line of help, and an example where the module gives none."""
+
+    words: tuple[str, ...]
+    module: str
+    summary: str
+    example: str = ""
+
+
+COMMANDS = (
+    Command(("plan",), "lime_planner.cli.plan", "plan the arm's reach to a target in a scene file or a recording"),
+    Command(("view",), "lime_planner.cli.view", "the 3-D page: plan, look, and move a simulated or a real arm"),
+    Command(("animate",), "lime_planner.cli.animate", "turn a saved plan into a moving picture"),
+    Command(("demo",), "lime_planner.ros.demo.demo", "scene, arm and planner as ROS nodes; a simulated arm carries the plan out"),
+    Command(("scene", "plant"), "lime_planner.cli.scene_plant", "grow a lime plant from a seed"),
+    Command(("scene", "tomatowur"), "lime_planner.cli.scene_tomatowur", "obtain public scans of real tomato plants"),
+    Command(("scene", "info"), "lime_planner.cli.scene", "say what a scene file holds"),
+    Command(("record",), "lime_planner.cli.record", "a scene and a start, from live topics or a recording, into a file"),
+    Command(("doctor",), "lime_planner.cli.doctor", "check the installation, ROS 2, the arm and the clouds"),
+    Command(("parameters",), "lime_planner.cli.parameters", "list every parameter that --set and the node understand"),
+    Command(("completion",), "lime_planner.cli.completion", "print the script that completes commands in your shell"),
+    Command(
+        ("experiment", "wall"), "lime_planner.experiments.wall.command", "the paper's experiment on the plane", "--trials 20 --out wall"
+    ),
+    Command(
+        ("experiment", "lime"), "lime_planner.experiments.lime.command", "the paper's experiment with the arm", "--trials 20 --out lime"
+    ),
+    Command(
+        ("experiment", "damage"), "lime_planner.experiments.damage.command", "leaves that the arm really touches", "--plants 2 --out damage"
+    ),
+    Command(("experiment", "report"), "benchmarks.results_page.command", "write the results page from what runs found", "lime damage"),
+    Command(("bench", "kernels"), "benchmarks.kernels.command", "time of the compiled kernels"),
+    Command(("bench", "planners"), "benchmarks.planners.command", "the default planner against the paper's", "--out planners"),
+    Command(("bench", "peers"), "benchmarks.planners.peers_command", "the default planner against OMPL and others", "--out peers"),
+    Command(("bench", "scale"), "benchmarks.scale.command", "how cost grows with points, leaves, joints, budget", "--out scale"),
+)
+
+GROUPS = {"scene": "make, obtain and inspect scenes", "experiment": "the paper's tables and figures", "bench": "measurements"}
+
+#: The extra of the package that brings a library.
+_EXTRAS = {
+    "rclpy": "ros",
+    "pingouin": "experiments",
+    "pandas": "experiments",
+    "distributed": "cluster",
+    "ompl": "bench",
+    "rosbags": "bags",
+    "shtab": "completion",
+    "viser": "viewer",
+    "imageio": "viewer",
+}
+
+_EXAMPLES = """\
+examples:
+  lime-planner scene plant --seed 3 --out plant.npz
+  lime-planner plan plant.npz --picture plan.png
+  lime-planner plan scan.ply --offset 0.55 0 0.05 \\
+      --target 0.5 0.1 0.4 0 0.7071 0 0.7071
+  lime-planner plan plant.npz --time 2 --json plan.json --set leaf_policy=solid
+  lime-planner doctor                           is everything there and heard?
+  lime-planner record now.npz                   what the cameras see now
+
+A command's own help: lime-planner plan --help. Completion in this shell:
+  source <(lime-planner completion bash)
+What goes wrong is one line on standard error; --debug adds the traceback.
+"""
+
+
+class _Formatter(argparse.RawDescriptionHelpFormatter):
+    """Help within 80 columns."""
+
+    def __init__(self, prog: str) -> None:
+        super().__init__(prog, max_help_position=26, width=80)
+        self._action_max_length = 14  # argparse forgets that the names of commands are indented
+
+
+class _Parser(argparse.ArgumentParser):
+    """A parser that takes -1e-05 for a number, not for an option."""
+
+    def __init__(self, **kwargs: Any) -> None:
+        super().__init__(formatter_class=_Formatter, **kwargs)
+        self._negative_number_matcher = re.compile(r"^-(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?$")
+
+
+def _exists(command: Command) -> bool:
+    # What measures the product from outside is not installed with it: those commands are offered in a checkout alone.
+    if not command.module.startswith("benchmarks."):
+        return True
+    return _CHECKOUT.joinpath(*command.module.split(".")).with_suffix(".py").is_file()
+
+
+def _module_of(command: Command) -> ModuleType:
+    if command.module.startswith("benchmarks.") and str(_CHECKOUT) not in sys.path:
+        sys.path.append(str(_CHECKOUT))
+    return importlib.import_module(command.module)
+
+
+def build_parser(arguments: Sequence[str], *, everything: bool = False) -> argparse.ArgumentParser:
+    """Build the parser; only the module of the command that `arguments` name is imported, so that help is quick.
+
+    Args:
+        arguments: the command line.
+        everything: import all commands.
+    """
+    words = tuple(word for word in arguments if not word.startswith("-"))
+    parser = _Parser(
+        prog="lime-planner",
+        description="Plan the reach of a harvesting arm to a fruit inside a plant:\naround its stems and through as few leaves as it must.",
+        epilog=_EXAMPLES,
+    )
+    parser.add_argument("--version", action="version", version=f"lime-planner {__version__}")
+    top = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
+    groups: dict[str, Any] = {}
+    for command in filter(_exists, COMMANDS):
+        place = top
+        if len(command.words) == 2:
+            group = command.words[0]
+            if group not in groups:
+                own = top.add_parser(group, help=GROUPS[group], description=GROUPS[group].capitalize() + ".")
+                groups[group] = own.add_subparsers(title="commands", metavar="COMMAND", required=True)
+            place = groups[group]
+        leaf = place.add_parser(command.words[-1], help=command.summary, description=command.summary.capitalize() + ".")
+        if everything or words[: len(command.words)] == command.words:
+            _fill(leaf, _module_of(command), command)
+    return parser
+
+
+def _fill(parser: argparse.ArgumentParser, module: ModuleType, command: Command) -> None:
+    module.add_arguments(parser)
+    parser.epilog = parser.epilog or f"example:\n  lime-planner {' '.join(command.words)} {command.example}"
+    parser.add_argument("--debug", action="store_true", help="print the traceback of an error")
+    parser.set_defaults(run=module.run)
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one command and return its exit status: 0 for success, 1 with `CODE: sentence` on standard error, 2 for wrong usage.
+
+    With `--json` the code and the sentence are there too, as `status` and `message`, unless argparse itself refuses the arguments.
+    """
+    arguments = list(sys.argv[1:] if argv is None else argv)
+    debug = "--debug" in arguments
+    if not arguments:
+        build_parser(()).print_help(sys.stderr)
+        return 2
+    args = argparse.Namespace()
+    try:
+        args = build_parser(arguments).parse_args(arguments)
+        return int(args.run(args))
+    except LimePlannerError as error:
+        if debug:
+            traceback.print_exc()
+        _tell(args, getattr(error, "status", Status.BAD_INPUT), str(error))
+        return int(getattr(error, "exit_status", 1))
+    except ModuleNotFoundError as error:
+        if debug:
+            traceback.print_exc()
+        root = (error.name or "").split(".")[0]
+        advice = f"; pip install 'lime_planner[{_EXTRAS[root]}]' brings it" if root in _EXTRAS else ""
+        _tell(args, Status.INTERNAL_ERROR, f"the library {root!r} is not installed{advice}")
+    except KeyboardInterrupt:
+        _tell(args, Status.CANCELLED, "stopped by the keyboard")
+        return 130
+    except BrokenPipeError:
+        # The reader of our output has gone (`| head`): nobody is left to tell.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    except Exception as error:
+        if debug:
+            traceback.print_exc()
+        text = " ".join(str(error).split()) or "no text"
+        _tell(args, Status.INTERNAL_ERROR, f"{type(error).__name__}: {text} (--debug prints where)")
+    return 1
+
+
+def _tell(args: argparse.Namespace, status: Status, sentence: str) -> None:
+    """Say on standard error, and where `--json` is set also there, how a command ended."""
+    from lime_planner.cli.json_output import emit_outcome
+
+    message = status.message(sentence)
+    print(message, file=sys.stderr)
+    emit_outcome(args, status.name, message)

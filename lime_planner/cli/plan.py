@@ -1,0 +1,326 @@
+"""`lime-planner plan`: one plan in a scene file, through the very pipeline that the node uses."""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import signal
+import sys
+import threading
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from lime_planner.core.errors import ParameterError, UsageError
+from lime_planner.core.parameters import NODE_PARAMETERS, PARAMETERS, PLANNERS, Settings, parse_assignment, settings_from
+
+if TYPE_CHECKING:
+    from lime_planner.pipeline import PlanResult
+    from lime_planner.robot.model import Robot
+    from lime_planner.scene.files import Start
+    from lime_planner.scene.scene import Scene
+
+#: The node's parameters that say how a file's labels are read.
+_OF_FILES = ("label_field", "leaf_labels", "stem_labels", "fruit_labels", "ignored_labels")
+
+_EPILOG = """\
+SCENE is an .npz with points (N, 3) [m] and labels (0 leaf, 1 stem, 2 fruit), or
+a PLY or PCD file with an integer field `label`, z up, in the frame of the arm's
+base. Its target_pose is used unless --target gives another one; +z of the tool
+points out of the palm. Leaves cost, stems are never touched. What
+`lime-planner record` wrote also says where the arm starts; a recording (--bag)
+is planned on as it is, with the topics that the options name.
+
+examples:
+  lime-planner plan plant.npz
+  lime-planner plan plant.npz --time 2 --picture plan.png --json plan.json
+  lime-planner plan scan.ply --offset 0.55 0 0.05 \\
+      --target 0.5 0.1 0.4 0 0.7071 0 0.7071
+  lime-planner plan plant.npz --planner apf_rrt_star --iterations 1500 --seed 1
+  lime-planner plan plant.npz --set leaf_policy=solid --set stem_margin_m=0.01
+  lime-planner plan --bag rosbag2_2026_05_04 --at 12.5 --leaf /seg/leaf \\
+      --stem /seg/stem --target /grasp
+
+The exit status is 0 only for SUCCEEDED; otherwise the code and one sentence go
+to standard error, with --json also to FILE. --set understands what
+`lime-planner parameters` lists.
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the command's arguments."""
+    parser.epilog = _EPILOG
+    from lime_planner.cli.bag import add_bag
+    from lime_planner.cli.json_output import add_json
+    from lime_planner.cli.topics import add_topics
+
+    parser.add_argument("scene", metavar="SCENE", type=Path, nargs="?", help="scene file: .npz, .ply or .pcd")
+    target = "pose of the tool at the fruit [m, -]: X Y Z QX QY QZ QW, or with --bag its topic; default: the scene's"
+    parser.add_argument("--target", nargs="+", type=_number_or_word, metavar="X", help=target)
+    start = "joint angles at the start [rad]; default: the recorded ones, else the arm's home"
+    parser.add_argument("--start", nargs="+", type=float, metavar="Q", help=start)
+    parser.add_argument("--planner", choices=PLANNERS, metavar="NAME", help=f"which search: {', '.join(PLANNERS)}")
+    budget = parser.add_mutually_exclusive_group()
+    budget.add_argument("--iterations", type=int, metavar="N", help="iterations of the search instead of a time")
+    budget.add_argument("--time", type=float, metavar="S", help=f"search time [s] (default {PARAMETERS['time_budget_s'].default})")
+    parser.add_argument("--seed", type=int, metavar="N", help="seed; the same seed and --iterations give the same path")
+    parser.add_argument("--scale", type=float, default=1.0, metavar="S", help="metres for each unit of the scene file (default 1)")
+    parser.add_argument("--offset", nargs=3, type=float, metavar=("X", "Y", "Z"), help="then move the scene by this [m]")
+    add_json(parser, "every figure, the path and the trajectory")
+    parser.add_argument("--picture", type=Path, metavar="FILE", help="draw plant, arm and path; .png, .svg or .pdf")
+    parser.add_argument(
+        "--set", action="append", default=[], metavar="PARAMETER=VALUE", dest="assignments", help="set any parameter; repeatable"
+    )
+    add_bag(parser)
+    add_topics(parser, live=False, without=("grasp_target",))
+
+
+def _number_or_word(text: str) -> float | str:
+    try:
+        return float(text)
+    except ValueError:
+        return text
+
+
+def _sort_arguments(args: argparse.Namespace) -> None:
+    """Tell the target's pose, its topic and the scene apart, and refuse what does not go together.
+
+    Raises:
+        UsageError: neither or both of scene and recording, or options that belong to the other one.
+    """
+    from lime_planner.cli.topics import topics_of
+
+    words = args.target or []
+    if len(words) == 8 and args.scene is None and isinstance(words[-1], str):  # `--target X Y Z QX QY QZ QW SCENE`
+        args.scene, args.target, words = Path(words[-1]), words[:-1], words[:-1]
+    args.topics = topics_of(args)
+    if args.bag is None:
+        if args.scene is None:
+            taken = args.json is not None and Path(args.json).suffix.lower() in (".npz", ".ply", ".pcd")
+            hint = f" (--json took {args.json} for the file to write; name the scene first)" if taken else ""
+            raise UsageError(f"give a SCENE, or a recording with --bag{hint}")
+        if args.topics or args.at is not None:
+            option = "--at" if args.at is not None else f"--{next(iter(args.topics)).split('_')[0]}"
+            raise UsageError(f"{option} names a {'moment' if args.at is not None else 'topic'} of a recording; name that with --bag")
+    elif args.scene is not None:
+        raise UsageError("give a SCENE or a --bag, not both")
+    elif args.scale != 1.0 or args.offset is not None:
+        raise UsageError("--scale and --offset place scene files; a recording is placed by its transforms")
+    if len(words) == 1 and isinstance(words[0], str):
+        if args.bag is None:
+            raise UsageError(f"--target {words[0]} is a topic; name the recording with --bag, or give 7 numbers")
+        args.topics["grasp_target"], args.target = words[0], None
+    elif words and (len(words) != 7 or any(isinstance(word, str) for word in words)):
+        raise UsageError(f"--target needs 7 numbers x y z qx qy qz qw, or with --bag a topic; got {' '.join(map(str, words))}")
+
+
+def read_parameters(args: argparse.Namespace) -> dict[str, Any]:
+    """Return the parameters that the options set; an option of its own wins over `--set`.
+
+    Raises:
+        ParameterError: unknown, out of range, or one that means nothing here.
+    """
+    values = dict(parse_assignment(text) for text in args.assignments)
+    for name in ("planner", "iterations", "seed"):
+        if getattr(args, name) is not None:
+            values[name] = getattr(args, name)
+    if args.time is not None:
+        values["time_budget_s"], values["iterations"] = args.time, 0
+    idle = [name for name in values if name in NODE_PARAMETERS and name not in _OF_FILES]
+    if idle:
+        raise ParameterError(f"{', '.join(idle)}: only the node has a use for this parameter")
+    return values
+
+
+def label_options(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what the parameters say about labels, as `load_scene` takes it.
+
+    Raises:
+        ParameterError: two classes share a label, or more than one fruit label.
+    """
+    from lime_planner.scene.labels import fruit_in_force
+
+    of = {name: values.get(name, NODE_PARAMETERS[name].default) for name in _OF_FILES}
+    given = of.pop("fruit_labels")
+    fruit = fruit_in_force(of["leaf_labels"], of["stem_labels"], given, of["ignored_labels"])
+    if len(fruit) > 1:
+        raise ParameterError(f"fruit_labels: a file or a recording can have one, got {list(fruit)}")
+    return {**of, "fruit_label": fruit[0] if fruit else None}
+
+
+def read_scene(args: argparse.Namespace, values: dict[str, Any]) -> Scene:
+    """Load the scene with the labels that the parameters name; its frame is empty where the file names none.
+
+    Raises:
+        SceneError: see `load_scene`.
+        ParameterError: see `label_options`.
+    """
+    from lime_planner.scene.files import load_scene
+
+    return load_scene(args.scene, scale=args.scale, offset=args.offset, default_frame="", **label_options(values))
+
+
+def run(args: argparse.Namespace) -> int:
+    """Plan, print a short table, write what was asked for; 0 only for SUCCEEDED."""
+    values = read_parameters(args)
+    settings = settings_from({name: value for name, value in values.items() if name in PARAMETERS})
+    if args.picture is not None and args.picture.suffix.lower() not in (".png", ".svg", ".pdf"):
+        raise ParameterError(f"--picture {args.picture}: ends in none of .png, .svg, .pdf")
+    _sort_arguments(args)
+    if args.bag is not None:
+        from lime_planner.cli.bag import read_bag
+
+        robot = load_arm(settings)
+        recorded = read_bag(args.bag, values, robot, settings.self_filter_padding_m, args.topics, args.at)
+        args.scene = args.bag
+        return plan_in(recorded.scene, robot, settings, args, recorded.start)
+    from lime_planner.scene.files import load_start
+
+    scene = read_scene(args, values)  # before the robot, which takes seconds
+    start = load_start(args.scene)
+    robot = load_arm(settings)
+    if not scene.frame_id:
+        scene = dataclasses.replace(scene, frame_id=robot.planning_frame)
+    return plan_in(scene, robot, settings, args, start)
+
+
+def _start(args: argparse.Namespace, robot: Robot, recorded: Start | None) -> Any:
+    """Return the configuration to start from (n,) [rad]: the option's, else the recorded one, else the arm's home."""
+    import numpy as np
+
+    from lime_planner.robot.model import home
+
+    if args.start is None and recorded is None:
+        return home(robot)
+    if args.start is None and recorded is not None:
+        if set(recorded.joint_names) != set(robot.joint_names):
+            names = f"{', '.join(recorded.joint_names)}; the arm has {', '.join(robot.joint_names)}"
+            raise ParameterError(f"{args.scene}: its start is of the joints {names} (--start gives another one)")
+        return recorded.q[[recorded.joint_names.index(name) for name in robot.joint_names]]
+    q_start = np.asarray(args.start)
+    if q_start.shape != (robot.n,):
+        raise ParameterError(f"--start needs {robot.n} angles, one for each of {', '.join(robot.joint_names)}; got {len(q_start)}")
+    return q_start
+
+
+def plan_in(scene: Scene, robot: Robot, settings: Settings, args: argparse.Namespace, start: Start | None = None) -> int:
+    """Plan in a loaded scene and report; `start` is where the arm was when the scene was recorded."""
+    import numpy as np
+
+    from lime_planner.core.geometry import pose_to_matrix
+    from lime_planner.core.status import Status
+    from lime_planner.output.progress import working
+    from lime_planner.pipeline import Pipeline
+
+    q_start = _start(args, robot, start)
+    target = scene.target_pose if args.target is None else np.asarray(args.target)
+    if target is None:
+        return _refuse(args, Status.NO_TARGET.name, Status.NO_TARGET.message(f"{args.scene} has no target_pose; give one with --target"))
+    if scene.frame_id != robot.planning_frame:
+        frames = f"the scene is in the frame {scene.frame_id!r} and the arm plans in {robot.planning_frame!r}"
+        sentence = f"{frames}; without ROS no transform between them is known"
+        return _refuse(args, Status.TF_ERROR.name, Status.TF_ERROR.message(sentence))
+    T_base_tool = pose_to_matrix(target)
+    should_stop = _stopped_by_signal()
+    pipeline = Pipeline(robot)
+    with working("compiling (minutes the first time ever, a second or two later)"):
+        pipeline.warm_up()  # compiling must not eat the time budget
+    with working("planning", seconds=None if settings.iterations else settings.time_budget_s):
+        result = pipeline.plan(scene, T_base_tool, q_start, settings, should_stop=should_stop, seed=settings.seed)
+    return _report(result, scene, robot, q_start, target, args)
+
+
+def load_arm(settings: Settings) -> Robot:
+    """Load the arm of the settings.
+
+    Raises:
+        RobotError: see `load_robot`.
+        ParameterError: `robot` is `topic`.
+    """
+    from lime_planner.robot.model import load_robot
+
+    if settings.robot == "topic":
+        raise ParameterError("robot: `topic` needs ROS; name a built-in model or a URDF file")
+    return load_robot(
+        settings.robot,
+        joint_names=settings.arm_joints or None,
+        planning_frame=settings.planning_frame or None,
+        tool_frame=settings.tool_frame or None,
+    )
+
+
+def _stopped_by_signal() -> Callable[[], bool]:
+    """Let the first Ctrl-C or SIGTERM end the plan as CANCELLED; the second ends the program."""
+    stop = threading.Event()
+    if threading.current_thread() is not threading.main_thread():
+        return stop.is_set
+
+    def ask(number: int, _: Any) -> None:
+        if stop.is_set():
+            raise KeyboardInterrupt
+        stop.set()
+
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, ask)
+    return stop.is_set
+
+
+def _refuse(args: argparse.Namespace, code: str, message: str) -> int:
+    """Report an outcome that needed no planning."""
+    from lime_planner.cli.json_output import emit_json
+
+    if args.json is not None:
+        emit_json(args.json, {"status": code, "message": message})
+    print(message, file=sys.stderr)
+    return 1
+
+
+def _provenance(args: argparse.Namespace, target: Any) -> dict[str, Any]:
+    """Return what it takes to show a plan again: the scene and how it was placed, the target, the parameters that were set."""
+    values = read_parameters(args)
+    placement = {"scale": args.scale, "offset": args.offset, **{name: values[name] for name in _OF_FILES if name in values}}
+    parameters = {name: value for name, value in values.items() if name in PARAMETERS}
+    return {"scene": str(args.scene), "placement": placement, "target_pose": [float(v) for v in target], "parameters": parameters}
+
+
+def _report(result: PlanResult, scene: Scene, robot: Robot, q_start: Any, target: Any, args: argparse.Namespace) -> int:
+    from lime_planner.cli.json_output import emit_json, is_stdout
+    from lime_planner.core.status import Status
+    from lime_planner.output.console import headline, print_plans
+
+    figures = result.figures()
+    quiet = is_stdout(args.json)
+    if args.json is not None:
+        file = args.json
+        emit_json(file, {**figures, **result.origin(), **_provenance(args, target)})
+        args.json = None  # a picture that cannot be drawn now changes nothing about the plan
+        if not quiet:
+            print(f"figures: {file}")
+    if args.picture is not None:
+        from lime_planner.output.picture import draw_picture
+
+        found = len(result.waypoints) > 0
+        draw_picture(
+            args.picture,
+            scene,
+            robot,
+            q_start=q_start,
+            q_goal=result.waypoints[-1] if found else None,
+            tool_path=result.tool_path if found else None,
+            tool_leaf=result.tool_leaf if found else None,
+            target_pose=target,
+            title=headline(figures) if result.status is Status.SUCCEEDED else result.status.name,
+        )
+        if not quiet:
+            print(f"picture: {args.picture}")
+    if result.status is not Status.SUCCEEDED:
+        print(result.message, file=sys.stderr)
+        return 1
+    if quiet:
+        return 0
+    print(result.message)
+    trajectory = result.trajectory
+    extra = [("duration of the motion [s]", [f"{trajectory.duration_s:.2f}" if trajectory is not None else "–"])]
+    extra += [("iterations", [str(result.iterations)]), ("seed", [str(result.seed)])]
+    print_plans(f"{result.planner} in {args.scene.name}", [("plan", figures)], extra)
+    return 0

@@ -1,0 +1,145 @@
+"""The arm's joint space as a planner sees it: validity, leaf intensity, edge cost and the repulsive field, compiled."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from lime_planner.collision.compiled_check import call_check, call_repulsion, make_engine
+from lime_planner.collision.edge_cost import MAX_EDGE_STATES, EdgeMemory, arm_check, arm_edge, within_box
+from lime_planner.collision.fast import LEAF, State, make_scratch, make_state
+from lime_planner.collision.link_shapes import Shapes
+from lime_planner.collision.world import World
+from lime_planner.core.jit import hot_kernel, kernel, overload
+from lime_planner.planning import space as protocol
+from lime_planner.robot.kinematics import Chain
+
+Array = npt.NDArray[np.float64]
+
+
+class ArmSpace(NamedTuple):
+    """Joint space of an arm in front of a plant; one for each thread, since it holds scratch memory.
+
+    Attributes:
+        lower, upper: (n,) sampling box, inside the joint limits [rad].
+        counters: (8,) int64, see `lime_planner.planning.space`.
+        engine: (3,) addresses, see `lime_planner.collision.compiled_check`.
+        state, q, force, memory: this thread's memory.
+        lever: (n, B) how far a body moves at most for each radian of a joint [m/rad].
+        pairs: (P, 2) bodies that can touch each other.
+        zoned: whether there is an approach zone.
+        own_leaves: False where leaves do not matter (their weight is zero).
+    """
+
+    lower: Array
+    upper: Array
+    counters: npt.NDArray[np.int64]
+    engine: npt.NDArray[np.int64]
+    state: State
+    q: Array
+    force: Array
+    memory: EdgeMemory
+    lever: Array
+    pairs: npt.NDArray[np.int64]
+    zoned: bool
+    own_leaves: bool
+
+
+def make_arm_space(lower: Array, upper: Array, chain: Chain, shapes: Shapes, world: World, *, leaves: bool = True) -> ArmSpace:
+    """Put a space together, with fresh memory for one thread.
+
+    Args:
+        lower, upper: (n,) sampling box [rad]; configurations outside it are invalid.
+        chain, shapes: the arm.
+        world: the obstacles.
+        leaves: False to leave leaves out of account.
+    """
+    bodies = len(shapes.spacing)
+    memory = EdgeMemory(
+        np.zeros((MAX_EDGE_STATES, bodies)),
+        np.zeros((MAX_EDGE_STATES, bodies)),
+        np.zeros((MAX_EDGE_STATES, len(shapes.pairs))),
+        np.zeros((MAX_EDGE_STATES, 4)),
+        np.zeros(MAX_EDGE_STATES),
+        np.zeros(MAX_EDGE_STATES, np.int32),
+        np.zeros(MAX_EDGE_STATES, np.int32),
+        np.zeros(bodies),
+        np.zeros(len(shapes.pairs)),
+        np.zeros(len(lower)),
+    )
+    state = make_state(shapes)
+    scratch = make_scratch(shapes, world.fields)
+    return ArmSpace(
+        np.ascontiguousarray(lower, dtype=np.float64),
+        np.ascontiguousarray(upper, dtype=np.float64),
+        np.zeros(8, np.int64),
+        make_engine(chain, shapes, world, scratch, state),
+        state,
+        scratch.q,
+        scratch.force,
+        memory,
+        np.ascontiguousarray(shapes.lever),
+        np.ascontiguousarray(shapes.pairs),
+        bool(world.exclusion[3] > 0.0),
+        bool(leaves),
+    )
+
+
+@hot_kernel
+def arm_evaluate(space: ArmSpace, q: Array) -> float:
+    """`lime_planner.planning.space.evaluate` for the arm."""
+    space.counters[0] += 1
+    if not within_box(space, q):
+        return -1.0
+    if not arm_check(space, q):
+        return -1.0
+    return float(space.state.misc[LEAF])
+
+
+@kernel
+def measure(space: ArmSpace, q: Array, floor: float = -np.inf) -> Any:
+    """Check a configuration of any clearance completely; the figures are in space.state. Whether it is valid."""
+    for i in range(q.shape[0]):
+        space.q[i] = q[i]
+    return call_check(space.engine[1], space.engine[0], 1, floor) != 0
+
+
+@overload(protocol.evaluate)
+def _evaluate(space: Any, q: Any) -> Any:
+    if not protocol.is_space(space, ArmSpace):
+        return None
+
+    def implementation(space: Any, q: Any) -> Any:
+        return arm_evaluate(space, q)
+
+    return implementation
+
+
+@overload(protocol.edge)
+def _edge(space: Any, a: Any, b: Any, weight: Any, bound: Any) -> Any:
+    if not protocol.is_space(space, ArmSpace):
+        return None
+
+    def implementation(space: Any, a: Any, b: Any, weight: Any, bound: Any) -> Any:
+        return arm_edge(space, a, b, weight, bound)
+
+    return implementation
+
+
+@overload(protocol.repulsion)
+def _repulsion(space: Any, q: Any, d_star: Any, k_leaf: Any, k_stem: Any, force: Any) -> Any:
+    if not protocol.is_space(space, ArmSpace):
+        return None
+
+    def implementation(space: Any, q: Any, d_star: Any, k_leaf: Any, k_stem: Any, force: Any) -> Any:
+        for i in range(q.shape[0]):
+            space.q[i] = q[i]
+            space.force[i] = 0.0
+        nearest = call_repulsion(space.engine[2], space.engine[0], d_star, k_leaf, k_stem)
+        for i in range(q.shape[0]):
+            force[i] += space.force[i]
+        return nearest
+
+    return implementation

@@ -1,0 +1,95 @@
+"""Where around a link a point must be looked at closely: unsigned distance to its mesh on a grid of voxels.
+
+The exact checker asks FCL about a point only if the voxel it falls into may be near the link's surface, and takes a point in an
+enclosed voxel for a hit: the mesh is only a surface, and what lies deep inside it touches no triangle.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from lime_planner.core.jit import cache_root
+from lime_planner.robot.meshes import LinkMesh
+
+Array = npt.NDArray[np.float64]
+
+PITCH_M = 0.00225  #: edge of a voxel
+#: A voxel's centre and any point in it are at most half a diagonal apart; 0.01 mm more for the distances' single precision.
+HALF_DIAGONAL_M = PITCH_M * 3**0.5 / 2 + 1e-5
+_VERSION = 3  # of what is computed here; part of the cache's key
+
+
+class LinkGrids(NamedTuple):
+    """Voxels around L links, in the joints' frames [m].
+
+    Attributes:
+        origin: (L, 3), lowest corner of each grid, which reaches `padding` beyond the link's bounding box.
+        size: (L, 3) int64, voxels per axis.
+        start: (L,) int64, where each grid begins in `values`.
+        values: float32, distance of each voxel's centre to the link's surface; negative where the voxel is enclosed: not within
+            half a voxel's diagonal of the surface and cut off from the outside by voxels that are.
+        padding: see `origin`.
+    """
+
+    origin: Array
+    size: npt.NDArray[np.int64]
+    start: npt.NDArray[np.int64]
+    values: npt.NDArray[np.float32]
+    padding: float
+
+
+def build_grids(links: Sequence[LinkMesh], padding_m: float) -> LinkGrids:
+    """Make the grids of all links, or read them from the package's cache (a few seconds the first time).
+
+    Args:
+        links: the links' meshes.
+        padding_m: how far the grids reach beyond the links; rounded up to whole centimetres.
+    """
+    padding = 0.01 * int(np.ceil(padding_m / 0.01 - 1e-9))
+    origin = np.stack([link.vertices.min(axis=0) - padding for link in links])
+    top = np.stack([link.vertices.max(axis=0) + padding for link in links])
+    size = np.ceil((top - origin) / PITCH_M).astype(np.int64)
+    start = np.concatenate([[0], np.cumsum(size.prod(axis=1))]).astype(np.int64)
+    values = np.concatenate([_cached_values(link, origin[i], size[i]) for i, link in enumerate(links)])
+    return LinkGrids(origin, size, start[:-1], values, padding)
+
+
+def _cached_values(link: LinkMesh, origin: Array, size: npt.NDArray[np.int64]) -> npt.NDArray[np.float32]:
+    digest = hashlib.sha256(f"{_VERSION} {PITCH_M} {origin.tolist()} {size.tolist()}".encode())
+    digest.update(np.ascontiguousarray(link.vertices).tobytes())
+    digest.update(np.ascontiguousarray(link.triangles).tobytes())
+    path = cache_root() / f"linkgrid-{digest.hexdigest()[:24]}.npy"
+    count = int(size.prod())
+    try:
+        stored = np.load(path)
+        if stored.shape == (count,) and stored.dtype == np.float32:
+            return np.asarray(stored)
+    except (OSError, ValueError, EOFError):  # not there, or half-written by a process that was stopped
+        pass
+    values = _distance_values(link, origin, size)
+    temporary = path.with_name(f"{path.stem}.{np.random.default_rng().integers(1 << 60):x}.tmp.npy")
+    with contextlib.suppress(OSError):  # a full disk: do without
+        np.save(temporary, values)
+        temporary.replace(path)
+    return values
+
+
+def _distance_values(link: LinkMesh, origin: Array, size: npt.NDArray[np.int64]) -> npt.NDArray[np.float32]:
+    import open3d as o3d
+    from scipy import ndimage
+
+    axes = [origin[k] + PITCH_M * (np.arange(size[k]) + 0.5) for k in range(3)]
+    centres = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).astype(np.float32)
+    scene = o3d.t.geometry.RaycastingScene()
+    scene.add_triangles(link.vertices.astype(np.float32), link.triangles.astype(np.uint32))
+    distance: npt.NDArray[np.float32] = scene.compute_distance(centres).numpy()
+    # Every voxel that the surface passes through is a wall, so that no path from voxel to voxel leads through a closed surface.
+    wall = distance <= HALF_DIAGONAL_M
+    enclosed = ndimage.binary_fill_holes(wall) & ~wall
+    return np.where(enclosed, -distance, distance).ravel().astype(np.float32)

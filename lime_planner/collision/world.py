@@ -1,0 +1,98 @@
+"""What the arm must not or should not touch, as compiled code sees it."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from lime_planner.collision.distance_fields import Fields, box_distance
+from lime_planner.core.jit import inline_kernel
+
+Array = npt.NDArray[np.float64]
+
+CAP_M = 0.5  # larger clearances are reported as this
+BINARY, GRADED = 0, 1  # leaf modes
+
+
+class World(NamedTuple):
+    """What the arm must not or should not touch, in the planning frame [m].
+
+    Attributes:
+        fields: distance fields and points of stems and leaves.
+        stem_radius, leaf_radius: radii of the points.
+        margin: clearance kept to stems, beyond their radius.
+        boxes: (K, 2, 3) keep-out boxes.
+        floor_z: height of the floor, -inf for none.
+        workspace: (2, 3) box that the arm stays in, infinite for none.
+        exclusion: (4,) centre and radius of the sphere in which stem points do not block the gripper, radius 0 for none.
+        zone: distance of the tool from the sphere's centre within which that holds.
+        anchors: (A, n) configurations (start, goals) that have less clearance than the margin, anchor_need: (A,) what is required at
+            them; the requirement grows by `slope` [m/rad] with the distance from them until it is the margin again.
+        leaf_mode: BINARY (the intensity is the largest permeability cost touched) or GRADED.
+        leaf_top: largest permeability cost of any leaf point.
+    """
+
+    fields: Fields
+    stem_radius: float
+    leaf_radius: float
+    margin: float
+    boxes: Array
+    floor_z: float
+    workspace: Array
+    exclusion: Array
+    zone: float
+    anchors: Array
+    anchor_need: Array
+    slope: float
+    leaf_mode: int
+    leaf_top: float
+
+
+def empty_world(fields: Fields, n: int, **values: Any) -> World:
+    """A world with the given parts and nothing else."""
+    infinite = np.array([[-1e10] * 3, [1e10] * 3])
+    parts: dict[str, Any] = {
+        "fields": fields,
+        "stem_radius": 0.004,
+        "leaf_radius": 0.004,
+        "margin": 0.005,
+        "boxes": np.zeros((0, 2, 3)),
+        "floor_z": -1e10,
+        "workspace": infinite,
+        "exclusion": np.zeros(4),
+        "zone": 0.0,
+        "anchors": np.zeros((0, n)),
+        "anchor_need": np.zeros(0),
+        "slope": 0.02,
+        "leaf_mode": BINARY,
+        "leaf_top": 1.0,
+    }
+    return World(**(parts | values))
+
+
+@inline_kernel
+def required_clearance(world: World, q: Array) -> float:
+    """Clearance to stems required at q: the margin, less near a start or goal that has less itself [m]."""
+    need = world.margin
+    for a in range(world.anchors.shape[0]):
+        total = 0.0
+        for i in range(q.shape[0]):
+            total += (q[i] - world.anchors[a, i]) ** 2
+        need = min(need, world.anchor_need[a] + world.slope * math.sqrt(total))
+    return need
+
+
+@inline_kernel
+def hard_distance(world: Any, x: Any, y: Any, z: Any) -> Any:
+    """Distance from a place to the keep-out boxes, the floor and out of the workspace box [m]."""
+    best = CAP_M
+    for k in range(world.boxes.shape[0]):
+        best = min(best, box_distance(world.boxes[k], x, y, z))
+    best = min(best, z - world.floor_z)
+    best = min(best, x - world.workspace[0, 0], world.workspace[1, 0] - x)
+    best = min(best, y - world.workspace[0, 1], world.workspace[1, 1] - y)
+    best = min(best, z - world.workspace[0, 2], world.workspace[1, 2] - z)
+    return best

@@ -1,0 +1,51 @@
+"""A caller's numbers, taken as arrays or refused in a sentence."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from lime_planner.core.errors import ProblemError
+
+_LONGEST = 120  # of a value in a sentence
+
+
+def shown(value: Any) -> str:
+    """Return a value in the form for a sentence: on one line, and not for ever."""
+    text = " ".join(repr(value.tolist() if isinstance(value, np.ndarray) else value).split())
+    return text if len(text) <= _LONGEST else f"{text[:_LONGEST]}…"
+
+
+def floats(name: str, value: npt.ArrayLike) -> npt.NDArray[np.float64]:
+    """Return what was given as an array of its own, whatever its shape.
+
+    Args:
+        name: of the argument, for the sentence.
+        value: numbers.
+
+    Raises:
+        ProblemError: it is something else.
+    """
+    try:
+        return np.array(value, dtype=np.float64, order="C")
+    except (TypeError, ValueError, OverflowError):
+        raise ProblemError(f"{name} must be numbers, got {shown(value)}") from None
+
+
+def finite_vector(name: str, value: npt.ArrayLike, n: int) -> npt.NDArray[np.float64]:
+    """Return what was given as n finite numbers, (n,).
+
+    Args:
+        name: of the argument, for the sentence.
+        value: numbers.
+        n: how many there must be.
+
+    Raises:
+        ProblemError: it is something else.
+    """
+    array = floats(name, value)
+    if array.shape != (n,) or not np.isfinite(array).all():
+        raise ProblemError(f"{name} must be {n} finite numbers, got {shown(value)}")
+    return array

@@ -1,0 +1,236 @@
+"""A plan as a moving picture: the arm on its way, the leaves it touches, and the tool's path behind it."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from lime_planner.core.atomic_files import replacing
+from lime_planner.core.errors import ParameterError
+from lime_planner.output.picture import ARM, FREE_PATH, LEAFY_PATH, LIME, STEM, arm_mesh, in_sight, leaf_layer
+from lime_planner.output.render import Layer, View, cloud_layer, compose, halved, mesh_layer
+from lime_planner.output.timeline import Insight, look_into
+from lime_planner.pipeline import Pipeline
+from lime_planner.robot.model import Robot
+from lime_planner.scene.scene import Scene
+from lime_planner.viewer.backend import Shown
+
+SUFFIXES = (".gif", ".mp4")
+
+#: Cameras: above the horizon; beside the direction from the base to the target, seen from above.
+_ELEVATIONS_RAD = np.radians((18.0, 30.0))
+_BESIDE_RAD = np.radians((-62.0, 62.0, -85.0, 85.0))
+_MARGIN_M = 0.05
+_CAPTION_PIXELS = 44
+_LEAF_OVER_ARM = 0.5
+_TOUCHED_BEFORE = (0.96, 0.72, 0.48)
+_HELD_S = (0.5, 1.2)  # first and last picture
+_COMMON_COLOURS = 84
+_IN_FRONT_M = 10.0
+_FINER = 0.004  # spacing of the points that the path is drawn with [m]
+
+Float64 = npt.NDArray[np.float64]
+Picture = npt.NDArray[np.uint8]
+
+
+def animate(
+    path: str | os.PathLike[str],
+    pipeline: Pipeline,
+    shown: Shown,
+    *,
+    fps: float = 15.0,
+    width: int = 560,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> Path:
+    """Write a moving picture of a plan; a reader never sees half of it.
+
+    Args:
+        path: the file; its suffix (`SUFFIXES`) chooses the format.
+        pipeline: of the arm.
+        shown: a plan with a path.
+        fps: pictures a second, in the motion's own time.
+        width: of a picture [pixels].
+        progress: told how many of how many pictures are drawn.
+
+    Raises:
+        ParameterError: a suffix that is not supported, a plan without a path, or a file that cannot be written.
+    """
+    path = Path(path)
+    if path.suffix.lower() not in SUFFIXES:
+        raise ParameterError(f"{path}: an animation ends in one of {', '.join(SUFFIXES)}, not in {path.suffix or 'nothing'!r}")
+    if not shown.found:
+        raise ParameterError(f"the plan has no path to animate: {shown.result.message}")
+    insight = look_into(pipeline, shown)
+    count = max(2, round(insight.duration_s * fps) + 1)
+    times = np.linspace(0.0, insight.duration_s, count)
+    stage = _Stage(pipeline.robot, shown, insight, width)
+    pictures = []
+    for number, t_s in enumerate(times):
+        pictures.append(stage.picture(float(t_s)))
+        progress(number + 1, count)
+    held = [round(seconds * fps) for seconds in _HELD_S]
+    try:
+        with replacing(path) as temporary:
+            write = _write_gif if path.suffix.lower() == ".gif" else _write_mp4
+            write(temporary, pictures, held, fps)
+    except OSError as error:
+        raise ParameterError(f"{path}: cannot be written ({error.strerror or error})") from error
+    return path
+
+
+class _Stage:
+    """The plant as one camera sees it, before which the arm moves."""
+
+    def __init__(self, robot: Robot, shown: Shown, insight: Insight, width: int) -> None:
+        self._robot, self._insight, self._scene = robot, insight, shown.scene
+        seen = in_sight(shown.scene, robot)
+        arms = [arm_mesh(robot, q)[0] for q in insight.configurations[:: max(1, len(insight.configurations) // 8)]]
+        self._view = _view([*seen.values(), *arms], insight.tool[-1], _touched_corners(shown.scene, insight.leaf_points), width)
+        self._planner = shown.result.planner
+        self._plant = [
+            leaf_layer(self._view, seen["leaf"], shown.scene),
+            cloud_layer(self._view, seen["stem"], STEM, (0.0022, 0.0045)),
+            cloud_layer(self._view, seen["fruit"], LIME, (0.0016, 0.0045)),
+        ]
+        self._touched: dict[bytes, Layer] = {}
+
+    def picture(self, t_s: float) -> Picture:
+        """Draw the moment."""
+        insight = self._insight
+        sample = insight.at(t_s)
+        now = insight.touched[sample]
+        before = insight.touched[: sample + 1].any(axis=0) & ~now
+        plant = [*self._plant, self._lit(before, _TOUCHED_BEFORE, 0.001)]
+        vertices, triangles = arm_mesh(self._robot, insight.configuration(t_s))
+        # What is touched is shown whatever stands before it.
+        solid = [(mesh_layer(self._view, vertices, triangles, ARM), 1.0), (self._lit(now, LEAFY_PATH, _IN_FRONT_M), 0.92)]
+        for touching, colour in ((False, FREE_PATH), (True, LEAFY_PATH)):
+            points = _dense(insight.tool[: sample + 1], (insight.leaf[: sample + 1] > 0.0) == touching)
+            if len(points):
+                solid.append((_flat(self._view, points, colour), 1.0))
+        image = halved(compose(plant, solid, _LEAF_OVER_ARM))
+        return self._captioned((255.0 * image).clip(0, 255).astype(np.uint8), t_s, now)
+
+    def _lit(self, marks: npt.NDArray[np.bool_], colour: tuple[float, float, float], lift_m: float) -> Layer:
+        key = marks.tobytes() + bytes(str(colour), "ascii")
+        if key not in self._touched:
+            self._touched[key] = _leaves(self._view, self._scene, self._insight.leaf_points[marks], colour, lift_m)
+        return self._touched[key]
+
+    def _captioned(self, image: Picture, t_s: float, now: npt.NDArray[np.bool_]) -> Picture:
+        from matplotlib import get_data_path
+        from PIL import Image, ImageDraw, ImageFont
+
+        height, width = image.shape[0] // 2 * 2 + _CAPTION_PIXELS, image.shape[1] // 2 * 2  # video codecs want even numbers
+        canvas = Image.new("RGB", (width, height), "white")
+        canvas.paste(Image.fromarray(image), (0, _CAPTION_PIXELS))
+        draw = ImageDraw.Draw(canvas)
+        font = ImageFont.truetype(str(Path(get_data_path()) / "fonts" / "ttf" / "DejaVuSans.ttf"), 14)
+        ids = self._scene.leaf_ids
+        touched = self._insight.leaf_points[now]
+        count = len(touched) if ids is None else len(np.unique(ids[touched]))
+        words = (
+            f"{count} {'leaf point' if ids is None else 'leaf'}" if count == 1 else f"{count} {'leaf points' if ids is None else 'leaves'}"
+        )
+        clock = f"{t_s:4.1f} s" if self._insight.timed else f"{t_s:4.1f} rad"
+        draw.text((12, 6), f"{clock}   touching {words}", fill=(30, 30, 30), font=font)
+        legend = (("tool's path, free", FREE_PATH), ("touching leaves", LEAFY_PATH), ("touched before", _TOUCHED_BEFORE))
+        small, left = font.font_variant(size=11), 12
+        for text, colour in legend:
+            draw.rectangle((left, 30, left + 10, 40), fill=tuple(int(255 * c) for c in colour))
+            draw.text((left + 15, 28), text, fill=(70, 70, 70), font=small)
+            left += 33 + int(small.getlength(text))
+        return np.asarray(canvas)
+
+
+def _touched_corners(scene: Scene, points: npt.NDArray[np.int64]) -> npt.NDArray[np.float32]:
+    """Return the triangles (T, 3, 3) of the leaves that some leaf points lie on; none where leaves are not known."""
+    if scene.leaf_ids is None or scene.leaf_triangles is None or scene.leaf_triangle_ids is None:
+        return np.zeros((0, 3, 3), np.float32)
+    return scene.leaf_triangles[np.isin(scene.leaf_triangle_ids, np.unique(scene.leaf_ids[points]))]
+
+
+def _view(clouds: list[npt.NDArray[Any]], goal: Float64, touched: npt.NDArray[np.float32], width: int) -> View:
+    """Choose a camera: beside the way to the goal, a little above it, where most of the touched leaves is seen; all in sight."""
+    ahead = float(np.arctan2(goal[1], goal[0]))
+    normals = np.cross(touched[:, 1] - touched[:, 0], touched[:, 2] - touched[:, 0])
+    best: tuple[float, Float64, Float64] | None = None
+    for elevation in _ELEVATIONS_RAD:
+        for turn in ahead + _BESIDE_RAD:
+            back = np.array([np.cos(turn), np.sin(turn), 0.0])  # from the plant towards the eye, seen from above
+            up = np.cos(elevation) * np.array([0.0, 0.0, 1.0]) - np.sin(elevation) * back
+            right = np.cross(np.array([0.0, 0.0, 1.0]), back)
+            area = float(np.abs(normals @ np.cross(right, up)).sum())
+            if best is None or area > 1.2 * best[0]:
+                best = (area, right, up)
+    assert best is not None
+    _, right, up = best
+    flat = np.concatenate([np.asarray(cloud, dtype=np.float64) for cloud in clouds if len(cloud)]) @ np.stack([right, up]).T
+    low, high = flat.min(axis=0) - _MARGIN_M, flat.max(axis=0) + _MARGIN_M
+    return View(right, up, (low[0], high[0], low[1], high[1]), float(high[0] - low[0]) / (2 * width))
+
+
+def _leaves(view: View, scene: Scene, points: npt.NDArray[np.int64], colour: tuple[float, float, float], lift_m: float) -> Layer:
+    """Draw whole leaves where they are known, else points, a little nearer to the eye than they are."""
+    if scene.leaf_ids is not None and scene.leaf_triangles is not None and scene.leaf_triangle_ids is not None:
+        corners = _touched_corners(scene, points).reshape(-1, 3)
+        layer = mesh_layer(view, corners, np.arange(len(corners)).reshape(-1, 3), colour)
+    else:
+        layer = cloud_layer(view, scene.leaf_points[points], colour, (0.003, 0.006))
+    return Layer(layer.colour, layer.height_m + np.float32(lift_m))
+
+
+def _flat(view: View, points: Float64, colour: tuple[float, float, float]) -> Layer:
+    """Draw points in one colour, without shading."""
+    layer = cloud_layer(view, points, colour, (0.004, 0.004))
+    layer.colour[np.isfinite(layer.height_m)] = colour
+    return layer
+
+
+def _dense(line: Float64, wanted: npt.NDArray[np.bool_]) -> Float64:
+    """Return points close together along the parts of a line (K, 3) whose ends are wanted (K,)."""
+    pieces = [np.zeros((0, 3))]
+    for a, b, yes in zip(line[:-1], line[1:], wanted[1:], strict=True):
+        if yes:
+            steps = max(1, int(np.ceil(np.linalg.norm(b - a) / _FINER)))
+            pieces.append(a + np.linspace(0.0, 1.0, steps, endpoint=False)[:, None] * (b - a))
+    return np.concatenate(pieces)
+
+
+def _held(pictures: list[Picture], held: list[int]) -> Iterator[Picture]:
+    yield from [pictures[0]] * held[0]
+    yield from pictures
+    yield from [pictures[-1]] * held[1]
+
+
+def _write_gif(path: Path, pictures: list[Picture], held: list[int], fps: float) -> None:
+    from PIL import Image
+
+    # One palette for all, so that nothing flickers: common colours, and those that mean something however rare they are.
+    sample = Image.fromarray(np.concatenate([pictures[0], pictures[len(pictures) // 2], pictures[-1]]))
+    common = (sample.quantize(_COMMON_COLOURS, method=Image.Quantize.MEDIANCUT).getpalette() or [])[: 3 * _COMMON_COLOURS]
+    colours = np.array([LEAFY_PATH, _TOUCHED_BEFORE, FREE_PATH, LIME])
+    meaning = np.round(255 * colours[:, None] * np.array([1.0, 0.8, 0.6])[:, None]).astype(int).ravel().tolist()
+    palette = Image.new("P", (1, 1))
+    palette.putpalette([*common, *meaning])
+    frames = [Image.fromarray(picture).quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures]
+    step_ms = round(1000.0 / fps / 10.0) * 10  # GIF counts in hundredths of a second
+    durations = [step_ms] * len(frames)
+    durations[0] += held[0] * step_ms
+    durations[-1] += held[1] * step_ms
+    frames[0].save(path, format="GIF", save_all=True, append_images=frames[1:], duration=durations, loop=0, optimize=False)
+
+
+def _write_mp4(path: Path, pictures: list[Picture], held: list[int], fps: float) -> None:
+    import imageio
+
+    writer: Any
+
+    with imageio.get_writer(path, format="FFMPEG", fps=fps, codec="libx264", quality=8, macro_block_size=2) as writer:
+        for picture in _held(pictures, held):
+            writer.append_data(picture)

@@ -1,0 +1,59 @@
+"""A plan's figures as a short table, on at most 80 columns."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+from lime_planner.core.atomic_files import write_json
+from lime_planner.pipeline.result import ROWS
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+__all__ = ["ROWS", "cell", "console", "headline", "print_plans", "write_json"]
+
+
+def console(*, error: bool = False) -> Console:
+    """Return a console of at most 80 columns."""
+    from rich.console import Console
+
+    plain = Console(stderr=error, highlight=False)
+    return Console(stderr=error, highlight=False, width=min(80, plain.width))
+
+
+def cell(figures: Mapping[str, Any], key: str, factor: float = 1.0, decimals: int = 2) -> str:
+    """Return one figure as text; a dash where there is none."""
+    value = figures.get(key)
+    if value is None or (isinstance(value, float) and value != value):
+        return "–"
+    return f"{float(value) * factor:.{decimals}f}"
+
+
+def headline(figures: Mapping[str, Any]) -> str:
+    """Return planner, leaf contact, length and clearance in one line, as the table shows them."""
+    texts = {key: cell(figures, key, factor, decimals) for key, _, _, factor, decimals in ROWS}
+    contact, length, clearance = (texts[key] for key in ("leaf_contact_rad", "path_length_rad", "min_stem_clearance_m"))
+    return f"{figures.get('planner', '')}: leaf contact {contact} rad of {length} rad, stem clearance {clearance} mm"
+
+
+def print_plans(title: str, columns: Sequence[tuple[str, Mapping[str, Any]]], extra: Sequence[tuple[str, Sequence[str]]] = ()) -> None:
+    """Print plans side by side.
+
+    Args:
+        title: above the table.
+        columns: heading and figures of each plan; figures without a path show dashes.
+        extra: further rows: words, and one text for each column.
+    """
+    from rich.table import Table
+
+    table = Table(title=title, title_justify="left", title_style="bold", show_edge=False, pad_edge=False)
+    table.add_column("")
+    for heading, _ in columns:
+        table.add_column(heading, justify="right", overflow="fold")
+    table.add_row("status", *(str(figures.get("status", "–")) for _, figures in columns))
+    for key, words, unit, factor, decimals in ROWS:
+        table.add_row(f"{words} [{unit}]".replace("[", r"\["), *(cell(figures, key, factor, decimals) for _, figures in columns))
+    for words, texts in extra:
+        table.add_row(words.replace("[", r"\["), *texts)
+    console().print(table)

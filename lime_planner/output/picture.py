@@ -1,0 +1,260 @@
+"""One picture of a plan: the plant, the arm at start and goal, and the tool's path coloured by leaf contact, in two views to scale."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from lime_planner.core.atomic_files import replacing
+from lime_planner.core.errors import ParameterError
+from lime_planner.output.render import Image, Layer, View, cloud_layer, compose, halved, mesh_layer
+from lime_planner.robot.model import Robot
+from lime_planner.scene.scene import Scene
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+SUFFIXES = (".png", ".svg", ".pdf")
+
+# Okabe and Ito's palette and neighbours of it: told apart with every kind of colour vision, and in grey by their lightness.
+LEAF = (0.16, 0.62, 0.44)
+STEM = (0.45, 0.27, 0.12)
+LIME = (0.95, 0.88, 0.25)
+ARM = (0.62, 0.63, 0.66)
+FREE_PATH = (0.00, 0.45, 0.70)
+LEAFY_PATH = (0.84, 0.37, 0.00)
+TARGET = (0.80, 0.10, 0.50)
+
+_START_OPACITY = 0.38
+_LEAF_OVER_ARM = 0.42  #: leaves in front of the arm let it shine through
+_MARGIN_M = 0.06
+_PANEL_PIXELS = 800  #: height of the views, before halving
+
+Float64 = npt.NDArray[np.float64]
+
+
+def draw_picture(
+    path: str | os.PathLike[str],
+    scene: Scene,
+    robot: Robot,
+    *,
+    q_start: npt.ArrayLike,
+    q_goal: npt.ArrayLike | None = None,
+    tool_path: npt.ArrayLike | None = None,
+    tool_leaf: npt.ArrayLike | None = None,
+    target_pose: npt.ArrayLike | None = None,
+    title: str = "",
+) -> Path:
+    """Draw a side view and a top view and write them to a file; a reader never sees half of it.
+
+    Args:
+        path: the file; its suffix (`SUFFIXES`) chooses the format.
+        scene: the plant.
+        robot: the arm.
+        q_start: (n,) configuration at the start [rad].
+        q_goal: (n,) configuration at the end; None draws the start alone.
+        tool_path: (K, 7) tool poses along the plan, or (K, 3) positions [m].
+        tool_leaf: (K,) leaf contact at each of them, 0 for none.
+        target_pose: (7,) T_base_tool at the grasp.
+        title: one line above the picture.
+
+    Returns:
+        The file.
+
+    Raises:
+        ParameterError: a suffix that is not supported, or a file that cannot be written.
+    """
+    path = Path(path)
+    if path.suffix.lower() not in SUFFIXES:
+        raise ParameterError(f"{path}: a picture ends in one of {', '.join(SUFFIXES)}, not in {path.suffix or 'nothing'!r}")
+    configurations = [np.asarray(q, dtype=np.float64) for q in (q_start, q_goal) if q is not None]
+    arms = [arm_mesh(robot, q) for q in configurations]
+    line = np.zeros((0, 3)) if tool_path is None else np.asarray(tool_path, dtype=np.float64)[:, :3]
+    contact = np.zeros(len(line)) if tool_leaf is None else np.asarray(tool_leaf, dtype=np.float64)
+    target = None if target_pose is None else np.asarray(target_pose, dtype=np.float64)
+    shown = in_sight(scene, robot)
+    low, high = _bounds([*(vertices for vertices, _ in arms), *shown.values(), line])
+
+    from matplotlib.figure import Figure
+
+    views = _views(low, high, target)
+    widths = [view.extent[1] - view.extent[0] for _, _, view in views]
+    heights = [view.extent[3] - view.extent[2] for _, _, view in views]
+    # Inches: the higher view is 4.4 high, the other to the same scale; around them room for labels, colour bar and legend.
+    scale = 4.4 / max(heights)
+    left, gap, beside, bottom, top = 0.75, 0.85, 1.35, 0.95, 0.75 if title else 0.4
+    width, height = sum(widths) * scale + left + gap + beside, 4.4 + bottom + top
+    figure = Figure(figsize=(width, height))
+    floor, ceiling = bottom / height, 1.0 - top / height
+    starts = (left, left + widths[0] * scale + gap)
+    for place, (name, labels, view) in enumerate(views):
+        high_inches = heights[place] * scale
+        frame = (starts[place] / width, ceiling - high_inches / height, widths[place] * scale / width, high_inches / height)
+        axes = figure.add_axes(frame)
+        axes.imshow(_render(view, shown, scene, arms), extent=view.extent, interpolation="antialiased", aspect="equal")
+        _draw_path(axes, view, line, contact)
+        if target is not None:
+            _draw_target(axes, view, target)
+        axes.set_title(name, fontsize=10, loc="left")
+        axes.set_xlabel(f"{labels[0]} [m]")
+        axes.set_ylabel(f"{labels[1]} [m]")
+        axes.tick_params(labelsize=8)
+        axes.set_xlim(view.extent[:2])
+        axes.set_ylim(view.extent[2:])
+        axes.grid(False)
+    _colour_bar(figure, (1.0 - (beside - 0.3) / width, floor, 0.16 / width, ceiling - floor), contact)
+    _legend(figure, scene, len(arms) > 1, len(line) > 1, target is not None)
+    if title:
+        figure.text(left / width, 1.0 - 0.3 / height, title, ha="left", va="center", fontsize=11)
+    return _write(figure, path)
+
+
+def _write(figure: Any, path: Path) -> Path:
+    try:
+        with replacing(path) as temporary:
+            figure.savefig(temporary, dpi=200, facecolor="white")
+    except OSError as error:
+        raise ParameterError(f"{path}: cannot be written ({error.strerror or error})") from error
+    return path
+
+
+def arm_mesh(robot: Robot, q: Float64) -> tuple[Float64, npt.NDArray[np.int64]]:
+    """Return the whole arm at q as one mesh in the planning frame: vertices (V, 3), triangles (T, 3)."""
+    poses = robot.link_poses(q)
+    vertices, triangles, count = [], [], 0
+    for link in robot.links:
+        pose = poses[link.joint]
+        vertices.append(link.vertices @ pose[:3, :3].T + pose[:3, 3])
+        triangles.append(link.triangles.astype(np.int64) + count)
+        count += len(link.vertices)
+    return np.concatenate(vertices), np.concatenate(triangles)
+
+
+def in_sight(scene: Scene, robot: Robot) -> dict[str, npt.NDArray[np.float32]]:
+    """Return the points of each class that lie near the arm's reach; a wall of the greenhouse would make the plant a dot."""
+    limit = robot.reach_m + 0.3
+    clouds = {"leaf": scene.leaf_points, "stem": scene.stem_points, "fruit": scene.fruit_points}
+    return {name: points[np.linalg.norm(points, axis=1) < limit] for name, points in clouds.items()}
+
+
+def _bounds(clouds: Sequence[npt.NDArray[Any]]) -> tuple[Float64, Float64]:
+    held = [np.asarray(points, dtype=np.float64) for points in clouds if len(points)]
+    low = np.min([points.min(axis=0) for points in held], axis=0) - _MARGIN_M
+    high = np.max([points.max(axis=0) for points in held], axis=0) + _MARGIN_M
+    return low, high
+
+
+def _views(low: Float64, high: Float64, target: Float64 | None) -> list[tuple[str, tuple[str, str], View]]:
+    """Return the side view, across the direction from the base to the target, and the top view, both to one scale."""
+    x, y, z = np.eye(3)
+    pixel = float(max(high[2] - low[2], high[1] - low[1])) / _PANEL_PIXELS
+    middle = target[:3] if target is not None else 0.5 * (low + high)
+    if abs(middle[0]) >= abs(middle[1]):
+        side = ("from the side", ("x", "z"), View(x, z, (low[0], high[0], low[2], high[2]), pixel))
+    else:
+        side = ("from the side", ("y", "z"), View(y, z, (low[1], high[1], low[2], high[2]), pixel))
+    return [side, ("from above", ("x", "y"), View(x, y, (low[0], high[0], low[1], high[1]), pixel))]
+
+
+def _render(view: View, shown: dict[str, npt.NDArray[np.float32]], scene: Scene, arms: list[tuple[Float64, Any]]) -> Image:
+    """Draw plant and arms at twice the picture's resolution and halve it."""
+    fine = View(view.right, view.up, view.extent, 0.5 * view.pixel_m)
+    plant = [
+        leaf_layer(fine, shown["leaf"], scene),
+        cloud_layer(fine, shown["stem"], STEM, (0.0018, 0.0045)),
+        cloud_layer(fine, shown["fruit"], LIME, (0.0012, 0.0045)),
+    ]
+    meshes = [mesh_layer(fine, vertices, triangles, ARM) for vertices, triangles in arms]
+    opacities = [_START_OPACITY, 1.0] if len(arms) > 1 else [1.0]
+    return halved(compose(plant, list(zip(meshes, opacities, strict=True)), _LEAF_OVER_ARM))
+
+
+def leaf_layer(view: View, points: npt.NDArray[np.float32], scene: Scene) -> Layer:
+    """Draw the leaves' own triangles where they are known (each leaf a little lighter or darker), else their points."""
+    if scene.leaf_triangles is None or not len(scene.leaf_triangles):
+        return cloud_layer(view, points, LEAF, (0.0012, 0.0045))
+    ids = np.arange(len(scene.leaf_triangles)) if scene.leaf_triangle_ids is None else scene.leaf_triangle_ids
+    tone = 0.85 + 0.3 * ((ids * 0.6180339887) % 1.0)
+    colours = np.clip(np.asarray(LEAF) * tone[:, None], 0.0, 1.0)
+    corners = scene.leaf_triangles.reshape(-1, 3)
+    return mesh_layer(view, corners, np.arange(len(corners)).reshape(-1, 3), colours)
+
+
+def _path_colours(contact: Float64) -> tuple[Any, Any]:
+    """Return colour map and norm for leaf contact."""
+    from matplotlib.colors import LinearSegmentedColormap, Normalize
+
+    shades = LinearSegmentedColormap.from_list("leaf contact", [FREE_PATH, (0.93, 0.84, 0.76), LEAFY_PATH])
+    return shades, Normalize(0.0, max(1.0, float(contact.max()) if len(contact) else 1.0))
+
+
+def _draw_path(axes: Axes, view: View, line: Float64, contact: Float64) -> None:
+    if len(line) < 2:
+        return
+    from matplotlib.collections import LineCollection
+
+    flat = view.project(line)[:, :2]
+    pieces = np.stack([flat[:-1], flat[1:]], axis=1)
+    shades, norm = _path_colours(contact)
+    axes.plot(flat[:, 0], flat[:, 1], color="white", linewidth=5.2, solid_capstyle="round", zorder=3)
+    axes.plot(flat[:, 0], flat[:, 1], color="black", linewidth=3.8, solid_capstyle="round", zorder=4)
+    coloured = LineCollection(list(pieces), cmap=shades, norm=norm, linewidth=2.6, capstyle="round", zorder=5)
+    coloured.set_array(np.maximum(contact[:-1], contact[1:]))
+    axes.add_collection(coloured)
+    axes.plot(*flat[0], marker="o", markersize=7, markerfacecolor="white", markeredgecolor="black", markeredgewidth=1.3, zorder=6)
+
+
+def _draw_target(axes: Axes, view: View, target: Float64) -> None:
+    """Mark the target; a line shows the direction from which the palm comes."""
+    from lime_planner.core.geometry import pose_to_matrix
+
+    approach = pose_to_matrix(target)[:3, 2]
+    (x, y, _), (x0, y0, _) = view.project(np.stack([target[:3], target[:3] - 0.09 * approach]))
+    for colour, width in (("white", 3.4), (TARGET, 1.8)):
+        axes.plot([x0, x], [y0, y], color=colour, linewidth=width, linestyle="-", zorder=7)
+        axes.plot(x, y, marker="o", markersize=11, markerfacecolor="none", markeredgecolor=colour, markeredgewidth=width, zorder=7)
+        axes.plot(x, y, marker="+", markersize=8, markeredgecolor=colour, markeredgewidth=width, zorder=7)
+
+
+def _colour_bar(figure: Any, place: tuple[float, float, float, float], contact: Float64) -> None:
+    from matplotlib.cm import ScalarMappable
+
+    if not len(contact):
+        return
+    shades, norm = _path_colours(contact)
+    bar = figure.colorbar(ScalarMappable(norm, shades), cax=figure.add_axes(place))
+    bar.set_label("leaf contact along the tool's path (0: none)", fontsize=9)
+    bar.ax.tick_params(labelsize=8)
+
+
+def _legend(figure: Any, scene: Scene, moved: bool, path: bool, target: bool) -> None:
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    entries: list[Any] = [Patch(color=LEAF, label="leaves"), Patch(color=STEM, label="stems (hard)")]
+    if len(scene.fruit_points):
+        entries.append(Patch(facecolor=LIME, edgecolor="0.4", linewidth=0.5, label="limes"))
+    entries.append(Patch(facecolor=ARM, alpha=_START_OPACITY if moved else 1.0, edgecolor="0.3", linewidth=0.5, label="arm at the start"))
+    if moved:
+        entries.append(Patch(facecolor=ARM, edgecolor="0.2", linewidth=0.5, label="arm at the goal"))
+    if path:
+        line = Line2D([], [], color=FREE_PATH, linewidth=2.6, marker="o", markerfacecolor="white", markeredgecolor="black")
+        line.set_label("tool's path from its start")
+        entries.append(line)
+    if target:
+        entries.append(Line2D([], [], color=TARGET, marker="o", markerfacecolor="none", label="target and approach"))
+    figure.legend(
+        handles=entries,
+        loc="lower center",
+        bbox_to_anchor=(0.5, 0.01),
+        ncol=len(entries),
+        frameon=False,
+        fontsize=9,
+        handlelength=1.6,
+        columnspacing=1.4,
+    )

@@ -1,0 +1,133 @@
+"""Saved plans: what `lime-planner plan --json` and `PlanResult.save` write, read back with the scene that it was made in."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from lime_planner.core.errors import ParameterError
+from lime_planner.core.geometry import pose_to_matrix
+from lime_planner.core.status import Status
+from lime_planner.motion.trajectory import Trajectory
+from lime_planner.pipeline.result import NUMBERS, PlanResult
+from lime_planner.robot.model import Robot
+from lime_planner.scene.files import load_scene
+from lime_planner.scene.scene import Scene
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class SavedPlan:
+    """A plan file.
+
+    Attributes:
+        path: the file.
+        figures: its content.
+    """
+
+    path: Path
+    figures: dict[str, Any]
+
+    @property
+    def parameters(self) -> dict[str, Any]:
+        """The parameters that the plan was made with, but for the defaults."""
+        return dict(self.figures.get("parameters") or {})
+
+    @property
+    def target(self) -> Array | None:
+        """The target (7,), or None."""
+        pose = self.figures.get("target_pose")
+        return None if pose is None else np.asarray(pose, dtype=np.float64)
+
+    @property
+    def q_start(self) -> Array | None:
+        """Where the plan begins (n,) [rad], None for a plan without a path that does not say."""
+        waypoints = self.figures["waypoints"]
+        start = waypoints[0] if waypoints else self.figures.get("start")
+        return None if start is None else np.asarray(start, dtype=np.float64)
+
+    def load_scene(self, path: Path | None = None) -> Scene:
+        """Load the scene, looked for where it was, and beside the plan.
+
+        Args:
+            path: where it is, for a plan that does not know; it is placed as the plan says.
+
+        Raises:
+            SceneError: it cannot be read.
+            ParameterError: the plan does not name it, or it is not there any more.
+        """
+        placement = self.figures.get("placement") or {}
+        place = self._scene_file() if path is None else path
+        options = {key: value for key, value in placement.items() if key != "fruit_labels"}
+        if "fruit_labels" in placement:
+            options["fruit_label"] = placement["fruit_labels"][0] if placement["fruit_labels"] else None
+        return load_scene(place, default_frame="", **options)
+
+    def _scene_file(self) -> Path:
+        name = self.figures.get("scene")
+        if not isinstance(name, str):
+            raise ParameterError(
+                f"{self.path}: does not name its scene; give it with --scene SCENE (in Python: result.save(path, scene_path=...) names it)"
+            )
+        places = [Path(name), self.path.parent / name, self.path.parent / Path(name).name]
+        place = next((place for place in places if place.exists()), None)
+        if place is None:
+            raise ParameterError(f"{self.path}: its scene {name} is not there; say where it is with --scene SCENE")
+        return place
+
+    def result(self, robot: Robot) -> PlanResult:
+        """Return the plan as it was made.
+
+        Raises:
+            ParameterError: it was made for another arm.
+        """
+        figures = self.figures
+        waypoints = np.asarray(figures["waypoints"], dtype=np.float64)
+        waypoints = waypoints.reshape(len(waypoints), -1 if len(waypoints) else robot.n)  # refused plans are shown too
+        if len(waypoints) and waypoints.shape[1] != robot.n:
+            raise ParameterError(f"{self.path}: was made for an arm of {waypoints.shape[1]} joints; {robot.name} has {robot.n}")
+        numbers: dict[str, Any] = {name: float("nan") if figures.get(name) is None else float(figures[name]) for name in NUMBERS}
+        timed = figures.get("trajectory")
+        trajectory = None
+        if timed is not None:
+            trajectory = Trajectory(
+                tuple(timed["joint_names"]), timed["dt_s"], np.asarray(timed["positions"]), np.asarray(timed["velocities"])
+            )
+        return PlanResult(
+            Status[figures["status"]],
+            figures["message"],
+            figures["planner"],
+            int(figures["seed"]),
+            iterations=int(figures.get("iterations", 0)),
+            waypoints=waypoints,
+            trajectory=trajectory,
+            T_base_tool=None if self.target is None else pose_to_matrix(self.target),
+            q_start=self.q_start,
+            parameters=self.parameters,
+            **numbers,
+        )
+
+
+def read_plan(path: Path) -> SavedPlan:
+    """Read a plan file.
+
+    Raises:
+        ParameterError: it cannot be read, or is no plan.
+    """
+    try:
+        figures = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
+        raise ParameterError(f"{path}: cannot be read as a plan ({getattr(error, 'strerror', None) or error})") from None
+    needed = ("status", "message", "planner", "seed", "waypoints")
+    missing = [name for name in needed if not isinstance(figures, dict) or name not in figures]
+    if missing:
+        raise ParameterError(f"{path}: is no plan of `lime-planner plan --json`; it lacks {', '.join(missing)}")
+    if figures["status"] not in Status.__members__:
+        raise ParameterError(f"{path}: has the unknown status {figures['status']!r}")
+    return SavedPlan(path, figures)

@@ -1,0 +1,86 @@
+"""The search tree of a plan, for whoever wants to see it: the search is run once more with the plan's own seed, and looked at."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from lime_planner.core.geometry import pose_to_matrix
+from lime_planner.pipeline import Pipeline
+from lime_planner.pipeline.context import never
+from lime_planner.pipeline.goals import find_goals
+from lime_planner.pipeline.search import search
+from lime_planner.planning.lime_star.roadmap import BLOCKED, UNKNOWN, Roadmap
+from lime_planner.viewer.backend import Shown
+
+Array = npt.NDArray[np.float64]
+
+EDGES_SHOWN = 400  # more hide the plant
+_PIECES = 8  # straight in joint space, an edge is a curve for the tool
+
+
+@dataclass(frozen=True, eq=False)
+class Grown:
+    """A search tree as the tool's positions see it.
+
+    Attributes:
+        segments: (E, P, 2, 3) tool positions at both ends of the pieces of each edge [m].
+        leafy: (E,) whether the edge's cost holds leaves.
+        total: edges that there were; more than E where they were thinned.
+    """
+
+    segments: npt.NDArray[np.float32]
+    leafy: npt.NDArray[np.bool_]
+    total: int
+
+
+def grow_again(pipeline: Pipeline, shown: Shown, *, should_stop: Callable[[], bool] = never) -> Grown:
+    """Search again as the plan did, and return the tree.
+
+    Args:
+        pipeline: of the same arm.
+        shown: a plan with a target.
+        should_stop: ends the search early; what has grown until then is returned.
+    """
+    result, settings = shown.result, shown.settings
+    if shown.target is None or not len(result.waypoints):
+        return Grown(np.zeros((0, _PIECES, 2, 3), np.float32), np.zeros(0, bool), 0)
+    q = result.waypoints[0]
+    obstacles = pipeline.obstacles(shown.scene, shown.target[:3], settings)
+    goals = find_goals(obstacles, obstacles.exact_checker(), pose_to_matrix(shown.target), q, np.random.default_rng(result.seed))
+    seen: list[Any] = []
+    if len(goals.configurations):
+        search(
+            obstacles.with_anchors(goals.anchors, goals.needs),
+            q,
+            goals,
+            settings,
+            seed=result.seed,
+            budget_s=None if settings.iterations else settings.time_budget_s,
+            should_stop=should_stop,
+            watch=seen.append,
+        )
+    rows, ends, leafy = _edges(seen[0]) if seen else (np.zeros((0, len(q))), np.zeros((0, 2), int), np.zeros(0, bool))
+    keep = np.unique(np.linspace(0, max(len(ends) - 1, 0), min(len(ends), EDGES_SHOWN)).round().astype(int))
+    share = np.linspace(0.0, 1.0, _PIECES + 1)[:, None]
+    tool = np.zeros((len(keep), _PIECES + 1, 3), np.float32)
+    for curve, (a, b) in zip(tool, ends[keep], strict=True):
+        curve[:] = [pipeline.robot.forward(q)[:3, 3] for q in rows[a] + share * (rows[b] - rows[a])]
+    return Grown(np.stack([tool[:, :-1], tool[:, 1:]], axis=2), leafy[keep], len(ends))
+
+
+def _edges(tree: Any) -> tuple[Array, npt.NDArray[np.int64], npt.NDArray[np.bool_]]:
+    """Return configurations (V, n), edges (E, 2) between them, and which of these cost more than their length."""
+    if isinstance(tree, Roadmap):
+        vertices, count = int(tree.size[0]), int(tree.size[1])
+        checked = np.flatnonzero((tree.known[:count] != UNKNOWN) & (tree.known[:count] != BLOCKED))
+        leafy = tree.cost[checked] > tree.length[checked] * (1.0 + 1e-6)
+        return tree.rows[:vertices], tree.ends[checked].astype(np.int64), leafy
+    size = int(tree.size[0])
+    children = np.flatnonzero(tree.parent[:size] >= 0)
+    ends = np.stack([tree.parent[children].astype(np.int64), children], axis=1)
+    return tree.rows[:size], ends, tree.intensity[children] > 0.0

@@ -1,0 +1,99 @@
+"""What a plan does over time, for plots, player and animation: where the tool is, how near the stems are, which leaves are touched."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from lime_planner.collision.touched_points import touched_points
+from lime_planner.motion.trajectory import Trajectory
+from lime_planner.pipeline import Pipeline
+from lime_planner.pipeline.finish import leaf_profile, sample_path
+from lime_planner.viewer.backend import Shown
+
+Array = npt.NDArray[np.float64]
+
+_STEP_S = 0.04  # between two samples of a motion
+_STEP_RAD = 0.03  # between two samples of a path that has no times
+_MOST = 300
+CLEARANCE_SHOWN_M = 0.05  #: larger clearances are lower bounds only, and of no interest
+
+
+@dataclass(frozen=True, eq=False)
+class Insight:
+    """A motion in K samples.
+
+    Attributes:
+        times_s: (K,) from 0; for a path that was refused before it was timed, its length so far [rad] in their place.
+        timed: whether they are times.
+        configurations: (K, n) [rad].
+        tool: (K, 3) position of the tool in the planning frame [m].
+        leaf: (K,) leaf intensity, 0 where no leaf is touched.
+        clearance_m: (K,) distance to the nearest stem, at most `CLEARANCE_SHOWN_M`.
+        cost: (K,) ∫ (1 + w · leaf) ds so far [rad].
+        leaf_points: (P,) indices of the scene's leaf points that are touched at any time.
+        touched: (K, P) which of them are touched at each sample.
+    """
+
+    times_s: Array
+    timed: bool
+    configurations: Array
+    tool: Array
+    leaf: Array
+    clearance_m: Array
+    cost: Array
+    leaf_points: npt.NDArray[np.int64]
+    touched: npt.NDArray[np.bool_]
+
+    @property
+    def duration_s(self) -> float:
+        """The last time."""
+        return float(self.times_s[-1])
+
+    def at(self, t_s: float) -> int:
+        """Return the number of the sample nearest to a time."""
+        return int(np.abs(self.times_s - t_s).argmin())
+
+    def configuration(self, t_s: float) -> Array:
+        """Return the configuration at a time (n,), between samples interpolated."""
+        return np.array([np.interp(t_s, self.times_s, column) for column in self.configurations.T])
+
+
+def look_into(pipeline: Pipeline, shown: Shown) -> Insight:
+    """Follow a plan in its scene.
+
+    Args:
+        pipeline: of the arm that it was made for.
+        shown: a plan with a path (`Shown.found`).
+    """
+    robot, settings, scene = pipeline.robot, shown.settings, shown.scene
+    times, configurations, timed = _samples(shown.result.trajectory, shown.result.waypoints)
+    target = None if shown.target is None else shown.target[:3]
+    leaf, clear = leaf_profile(pipeline.obstacles(scene, target, settings), configurations)
+    steps = np.linalg.norm(np.diff(configurations, axis=0), axis=1)
+    paid = (1.0 + settings.weight * 0.5 * (leaf[1:] + leaf[:-1])) * steps
+    marks = touched_points(robot, pipeline.shapes, configurations, scene.leaf_points, settings.leaf_point_radius_m)
+    ever = np.flatnonzero(marks.any(axis=0))
+    return Insight(
+        times,
+        timed,
+        configurations,
+        np.array([robot.forward(q)[:3, 3] for q in configurations]),
+        leaf,
+        np.minimum(clear, CLEARANCE_SHOWN_M),
+        np.concatenate([[0.0], np.cumsum(paid)]),
+        ever,
+        np.ascontiguousarray(marks[:, ever]),
+    )
+
+
+def _samples(trajectory: Trajectory | None, waypoints: Array) -> tuple[Array, Array, bool]:
+    if trajectory is None:
+        rows, lengths = sample_path(waypoints, _STEP_RAD)
+        keep = np.unique(np.linspace(0, len(rows) - 1, min(len(rows), _MOST)).round().astype(int))
+        return lengths[keep], rows[keep], False
+    count = int(np.clip(np.ceil(trajectory.duration_s / _STEP_S), 2, _MOST))
+    times = np.linspace(0.0, trajectory.duration_s, count + 1)
+    return times, trajectory.sample(times), True

@@ -1,0 +1,149 @@
+"""Paths that exist already: timing and checking them, checking them again, and watching them while they are carried out."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from lime_planner.collision.exact import ExactChecker
+from lime_planner.core.errors import ProblemError
+from lime_planner.core.parameters import Settings
+from lime_planner.core.status import Status
+from lime_planner.core.validation import floats
+from lime_planner.motion.trajectory import Trajectory
+from lime_planner.pipeline.context import Clock, Stopped, ask, never
+from lime_planner.pipeline.finish import CERTIFIED_STEP_RAD, contract_violations, hit_of, make_trajectory, path_figures, sample_path
+from lime_planner.pipeline.obstacles import Obstacles
+from lime_planner.pipeline.result import PlanResult
+
+Array = npt.NDArray[np.float64]
+
+_CLOSE_TOLERANCE_RAD = 0.001  # of corners, where the motion touched something with the tolerance of the settings
+
+
+def timed_motion(
+    obstacles: Obstacles,
+    checker: ExactChecker,
+    waypoints: Array,
+    q_measured: Array,
+    settings: Settings,
+    clock: Clock,
+    should_stop: Callable[[], bool],
+) -> Trajectory:
+    """Time a path, hold it to the rules of the motion command, and check what comes out exactly.
+
+    A motion that touches something where it cuts a corner of the certified path is timed once more, closer to the path.
+
+    Raises:
+        Stopped: PATH_INVALID with the broken rules or the contact; CANCELLED.
+    """
+    tolerances = [settings.corner_tolerance_rad]
+    if settings.corner_tolerance_rad > _CLOSE_TOLERANCE_RAD:
+        tolerances.append(_CLOSE_TOLERANCE_RAD)
+    hit: str | None = None
+    for tolerance in tolerances:
+        trajectory = make_trajectory(obstacles.robot, waypoints, obstacles, dataclasses.replace(settings, corner_tolerance_rad=tolerance))
+        clock.lap("timing")
+        ask(should_stop)
+        broken = contract_violations(obstacles.robot, trajectory, q_measured, settings)
+        if broken:
+            raise Stopped(Status.PATH_INVALID, "; ".join(broken))
+        hit = hit_of(checker, trajectory.configurations(CERTIFIED_STEP_RAD), should_stop)
+        clock.lap("certificate")
+        if hit is None:
+            return trajectory
+    raise Stopped(Status.PATH_INVALID, f"the exact check refuses the timed motion: {hit}")
+
+
+def follow(
+    obstacles: Callable[[], Obstacles],
+    waypoints: npt.ArrayLike,
+    T_base_tool: Array | None,
+    settings: Settings,
+    should_stop: Callable[[], bool] = never,
+) -> PlanResult:
+    """Make a motion along given waypoints; see `Pipeline.follow`.
+
+    Args:
+        obstacles: makes the obstacles, which takes time.
+        waypoints: (M, n) [rad], M at least 2; T_base_tool: the target for the result.
+        settings: limits and radii; should_stop: cancels.
+
+    Raises:
+        ProblemError: `waypoints` is no such array, or not finite.
+    """
+    clock = Clock()
+    path = floats("a path", waypoints)
+    if path.ndim != 2 or len(path) < 2 or not np.isfinite(path).all():
+        raise ProblemError(f"a path needs at least 2 finite waypoints, got an array of shape {path.shape}")
+    figures: dict[str, Any] = {}
+    try:
+        world = obstacles()
+        if path.shape[1] != world.robot.n:
+            raise ProblemError(f"a path's waypoints need {world.robot.n} joint angles each, got {path.shape[1]}")
+        checker = world.exact_checker()
+        clock.lap("fields")
+        hit = hit_of(checker, sample_path(path, CERTIFIED_STEP_RAD)[0], should_stop)
+        clock.lap("certificate")
+        if hit is not None:
+            raise Stopped(Status.PATH_INVALID, f"the exact check refuses the path: {hit}")
+        figures = path_figures(world, checker, path, None)
+        clock.lap("figures")
+        figures["trajectory"] = timed_motion(world, checker, path, path[0], settings, clock, should_stop)
+        outcome = Stopped(Status.SUCCEEDED, f"{figures['path_length_rad']:.2f} rad, {figures['trajectory'].duration_s:.1f} s of motion")
+    except Stopped as stop:
+        outcome = stop
+    message = outcome.status.message(outcome.sentence)
+    return PlanResult(
+        outcome.status,
+        message,
+        settings.planner,
+        0,
+        planning_time_s=clock.elapsed(),
+        phases_s=clock.phases,
+        T_base_tool=T_base_tool,
+        q_start=path[0],
+        **figures,
+    )
+
+
+def recheck(
+    obstacles: Callable[[], Obstacles],
+    trajectory: Trajectory | None,
+    q_measured: Array,
+    settings: Settings,
+    should_stop: Callable[[], bool] = never,
+) -> tuple[Status, str]:
+    """Check a motion once more before it is carried out; see `Pipeline.recheck`."""
+    if trajectory is None:
+        return Status.NOTHING_TO_EXECUTE, "the plan has no motion"
+    try:
+        world = obstacles()
+        broken = contract_violations(world.robot, trajectory, q_measured, settings)
+        if broken:
+            return Status.PATH_INVALID, "; ".join(broken)
+        hit = hit_of(world.exact_checker(), trajectory.configurations(CERTIFIED_STEP_RAD), should_stop)
+    except Stopped as stop:
+        return stop.status, stop.sentence
+    if hit is not None:
+        return Status.PATH_INVALID, f"the exact check refuses the motion in the newest scene: {hit}"
+    return Status.SUCCEEDED, f"the motion of {trajectory.duration_s:.1f} s is still clear"
+
+
+def obstruction(
+    checker: Callable[[], ExactChecker], trajectory: Trajectory | None, from_time_s: float, should_stop: Callable[[], bool] = never
+) -> str | None:
+    """Look for something hard on the rest of a running motion; see `Pipeline.obstruction`."""
+    if trajectory is None:
+        return None
+    rest = trajectory.configurations(CERTIFIED_STEP_RAD, from_time_s)
+    if len(rest) == 0:
+        return None
+    try:
+        return hit_of(checker(), rest, should_stop)
+    except Stopped:
+        return None

@@ -1,0 +1,71 @@
+"""Paths elsewhere: searches of the roadmap that keep away from the place where the best path pays most for its leaves.
+
+A path through another gap may cost more as the roadmap has it and less once it is polished. The ordinary search, which asks for
+paths cheaper than the best, never shows it to the polisher.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+if TYPE_CHECKING:
+    from lime_planner.planning.lime_star.run import Run
+
+Array = npt.NDArray[np.float64]
+
+_RADIUS = 12.0  # of the closed balls, in least steps
+_DEAREST = 2.5  # cost, over the best, above which a detour is not worth polishing
+_EDGES = 200  # evaluated for one detour at most
+_CLOSED = 6  # balls at once, before it begins with the best path's again
+_SHARE = 0.01  # of the best cost; less leaf than this is not worth a detour
+
+
+class Detours:
+    """What one run has closed so far.
+
+    Attributes:
+        closed: (B, n + 1) centre and radius of the balls, the best path's crossing in the first place.
+    """
+
+    def __init__(self, n: int) -> None:
+        self.closed: Array = np.zeros((0, n + 1))
+
+    def look(self, run: Run, trials: int) -> None:
+        """Search for a path around the closed balls and polish it by `trials`; its own crossing is closed the next time."""
+        if run.best_path is None:
+            return
+        best = crossing(run, run.best_path, run.best_segments)
+        if best is None:
+            return
+        if not len(self.closed) or float(np.linalg.norm(self.closed[0, :-1] - best[:-1])) > 0.5 * best[-1]:
+            self.closed = best[None]
+        count = run.search(_DEAREST * run.best_cost, self.closed, _EDGES)
+        t = run.adopt(count, instead=True) if count and not run.over() else -1
+        if t < 0:
+            self.closed = best[None]
+            return
+        if run.over():
+            return
+        run.polish(t, trials)
+        size = int(run.tracks.size[t])
+        other = crossing(run, run.tracks.points[t, :size], run.tracks.segment[t, : size - 1])
+        self.closed = best[None] if other is None or len(self.closed) >= _CLOSED else np.vstack([self.closed, other])
+
+
+def crossing(run: Run, points: Array, segments: Array) -> Array | None:
+    """Return a ball around the edge of a path that costs most for leaves, (n + 1,): centre and radius.
+
+    None where leaves hardly cost anything, or where the edge is at the start or a goal, which every path has in common.
+    """
+    leaf = segments - np.linalg.norm(np.diff(points, axis=0), axis=1)
+    i = int(np.argmax(leaf))
+    if not leaf[i] > _SHARE * run.best_cost:
+        return None
+    middle, radius = 0.5 * (points[i] + points[i + 1]), _RADIUS * run.least
+    ends = np.vstack([run.start, run.goals])
+    if np.linalg.norm(ends - middle, axis=1).min() < 1.5 * radius:
+        return None
+    return np.concatenate([middle, [radius]])

@@ -1,0 +1,278 @@
+"""The default planner: anytime and asymptotically optimal on J = ∫ (1 + w · leaf) ds, with stems certified along every edge.
+
+Five parts work in turn, each in compiled slices of a few milliseconds:
+
+1. a straight line and two trees (`connect`) give a first path quickly;
+2. ways out of the leaves (`escape`) show which goals are cheap and from where; paths over them come next;
+3. local improvement (`polish`) drives a few paths down side by side (`tracks`), the cheapest most, because only polishing shows which
+   goal and which side of a branch is cheap; few of them may be nearly the same;
+4. a roadmap that grows by batches (`roadmap`), sampled in the whole box, around the goals and around the best paths, is searched
+   lazily; what it finds becomes a new path to polish. Uniform samples and k ~ log N neighbours make the whole asymptotically
+   optimal (as PRM*, Karaman and Frazzoli 2011). Now and then it is searched for a path through another gap (`detour`);
+5. paths anew (`restart`), to the goals that promise most, in the time that polishing can do without.
+
+A short best path leaves only an ellipsoid of the box where better ones may pass; it is sampled instead (`ellipsoid`).
+A sample or a path that cannot lead below the best cost is pruned: the straight distance bounds every cost from below.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from lime_planner.core.errors import ProblemError
+from lime_planner.core.jit import kernel
+from lime_planner.core.status import Status
+from lime_planner.planning.ellipsoid import draw_between, draw_in_box
+from lime_planner.planning.lime_star import roadmap as graph
+from lime_planner.planning.lime_star.options import LimeOptions, LimeOutcome
+from lime_planner.planning.lime_star.run import Run
+from lime_planner.planning.lime_star.tracks import MAX_WAYPOINTS
+from lime_planner.planning.sampling import below, normal, uniform
+from lime_planner.planning.single import line, one
+from lime_planner.planning.space import clamp, distance, evaluate, inside
+
+__all__ = ["LimeOptions", "LimeOutcome", "plan_lime", "warm_up"]
+
+Array = npt.NDArray[np.float64]
+
+# Shares of the roadmap's samples; the others fall around the paths. Where the best path is short, a part of the box is left to be
+# sampled, and takes fewer samples.
+_UNIFORM, _INFORMED, _AT_GOALS = 0.6, 0.3, 0.08
+_DETOURS = 3  # rounds between two of them
+_LEAST_TRIALS = 5  # of polishing, for each track in each round
+_REDRAWN = 30  # times a sample that cannot be part of a better path is drawn again
+
+
+@kernel
+def _draw(space: Any, road: Any, tracks: Any, best: float, least: float, most: float, random: Any, q: Any) -> None:
+    """Draw a sample: uniformly where paths cheaper than `best` may pass, around a goal, or around one of the paths, chosen by cost."""
+    n = q.shape[0]
+    kind = uniform(random)
+    informed = False
+    if kind < _UNIFORM:
+        start = road.rows[graph.START]
+        near, goal = 0, graph.START
+        for g in range(1, 1 + road.size[2]):
+            if distance(space, start, road.rows[g]) < best:
+                near += 1
+                if below(random, near) == 0:
+                    goal = g
+        volume = draw_between(space, start, road.rows[goal], best, random, q)
+        informed = volume > 0.0
+        if informed:
+            if kind < _INFORMED + (_UNIFORM - _INFORMED) * volume:
+                return
+            kind = _UNIFORM + uniform(random) * (1.0 - _UNIFORM)
+    if not informed:
+        draw_in_box(space, random, q)
+        if kind < _UNIFORM:
+            return
+    step = least * math.exp(uniform(random) * math.log(most / least))
+    if kind < _UNIFORM + _AT_GOALS:
+        goal = 1 + below(random, road.size[2])
+        for k in range(n):
+            q[k] = road.rows[goal, k]
+    else:
+        t = below(random, tracks.size.shape[0])
+        if tracks.size[t] < 2:
+            return
+        pick = uniform(random) * tracks.cost[t]
+        i = 0
+        while i < tracks.size[t] - 2 and pick >= tracks.segment[t, i]:
+            pick -= tracks.segment[t, i]
+            i += 1
+        share = uniform(random)
+        for k in range(n):
+            q[k] = tracks.points[t, i, k] + share * (tracks.points[t, i + 1, k] - tracks.points[t, i, k])
+    for k in range(n):
+        q[k] += step * normal(random)
+    clamp(space, q)
+
+
+@kernel
+def _grow(space: Any, road: Any, tracks: Any, samples: int, best: float, least: float, most: float, random: Any, q: Any) -> None:
+    """Evaluate a number of samples that may lie on a path cheaper than `best`, and add the valid ones."""
+    for _ in range(samples):
+        for _ in range(_REDRAWN):
+            _draw(space, road, tracks, best, least, most, random, q)
+            ahead = np.inf
+            for g in range(1, 1 + road.size[2]):
+                ahead = min(ahead, distance(space, q, road.rows[g]))
+            if inside(space, q) and distance(space, q, road.rows[graph.START]) + ahead < best:
+                leaf = evaluate(space, q)
+                if leaf >= 0.0:
+                    graph.add_vertex(space, road, q, leaf)
+                break
+
+
+def plan_lime(
+    space: Any,
+    start: npt.ArrayLike,
+    goals: npt.ArrayLike,
+    options: LimeOptions,
+    seed: int,
+    *,
+    iterations: int | None = None,
+    should_stop: Callable[[], bool] | None = None,
+    deadline_s: float | None = None,
+    watch: Callable[[Any], None] | None = None,
+) -> LimeOutcome:
+    """Plan from a start to the cheapest of several goals.
+
+    Equal arguments, seed and iteration budget give equal results. The best path found is returned at the end, also after a stop.
+
+    Args:
+        space: a space of `lime_planner.planning.space`; its counters are written.
+        start: (n,); goals: (n,) or (G, n), invalid ones are left out.
+        options: see `LimeOptions`.
+        seed: of the generator.
+        iterations: budget of sampled configurations, None for none.
+        should_stop: True ends the search; asked every few milliseconds.
+        deadline_s: search time from the call on [s], None for none.
+        watch: is shown the roadmap (`roadmap.Roadmap`) when the search has ended.
+
+    Raises:
+        ProblemError: malformed start or goals, or no end of the search given.
+    """
+    began = time.monotonic()  # checks of start and goals and the run's memory are part of what a user waits for
+    n = len(space.lower)
+    q_start = np.ascontiguousarray(start, dtype=np.float64)
+    q_goals = np.ascontiguousarray(np.atleast_2d(np.asarray(goals, dtype=np.float64)))
+    if q_start.shape != (n,) or q_goals.ndim != 2 or q_goals.shape[1] != n or len(q_goals) == 0:
+        raise ProblemError(f"start needs {n} numbers and goals {n} each, got shapes {q_start.shape} and {q_goals.shape}")
+    if not (np.isfinite(q_start).all() and np.isfinite(q_goals).all()):
+        raise ProblemError("start or goals have numbers that are not finite")
+    if iterations is None and deadline_s is None and should_stop is None:
+        raise ProblemError("give iterations, deadline_s or should_stop: the search has no end of its own")
+    before = np.array(space.counters)
+    if one(space, q_start) < 0.0:
+        return LimeOutcome(None, math.inf, Status.START_INVALID, 0, 0, 0, math.nan, np.zeros((0, 3)))
+    leaf = np.array([one(space, g) for g in q_goals])
+    if not (leaf >= 0.0).any():
+        return LimeOutcome(None, math.inf, Status.GOAL_IN_STEM, 0, 0, 0, math.nan, np.zeros((0, 3)))
+    ended: list[Status] = []
+
+    def over(run: Run) -> bool:
+        if should_stop is not None and should_stop():
+            ended.append(Status.CANCELLED)
+        elif iterations is not None and run.iterations >= iterations:
+            ended.append(Status.NO_PATH)
+        elif deadline_s is not None and run.elapsed() >= deadline_s:
+            ended.append(Status.TIMED_OUT)
+        return bool(ended)
+
+    run = Run(space, q_start, q_goals[leaf >= 0.0], options, seed, iterations, over, began)
+    if options.weight > 0.0:  # otherwise leaves are air
+        run.start_leaf, run.goal_leaf = float(one(space, q_start)), leaf[leaf >= 0.0]
+    _search(run)
+    if watch is not None:
+        watch(run.road)
+    status = ended[0]
+    if run.best_path is not None and status in (Status.NO_PATH, Status.TIMED_OUT):
+        status = Status.SUCCEEDED
+    counted = np.asarray(space.counters) - before
+    return LimeOutcome(
+        run.best_path,
+        run.best_cost,
+        status,
+        run.iterations,
+        int(counted[0] + counted[2]),
+        int(counted[1]),
+        run.history[0][0] if run.history else math.nan,
+        np.array(run.history).reshape(-1, 3),
+    )
+
+
+def warm_up(space: Any) -> None:
+    """Compile what an easy problem passes by: where a straight line reaches the goal no tree grows."""
+    middle = 0.5 * (np.asarray(space.lower) + np.asarray(space.upper))
+    run = Run(space, middle, middle[None], LimeOptions(), 1)
+    run.reach(middle, 1)
+    run.start_leaf = 1.0
+    run.goal_leaf[0] = 1.0
+    run.look_for_ways_out()
+    run.use_ways_out()
+    graph.add_known(space, run.road, middle, 0, 1.0)  # without leaves no way out costs anything, and none is kept
+
+
+def _search(run: Run) -> None:
+    """Run the parts in turn until a limit is reached."""
+    graph.add_vertex(run.space, run.road, run.start, run.start_leaf)
+    for g, intensity in zip(run.goals, run.goal_leaf, strict=True):
+        graph.add_vertex(run.space, run.road, g, float(intensity))
+    run.road.size[2] = len(run.goals)
+    for g in run.goals:
+        run.path[0], run.path[1] = run.start, g
+        if np.isfinite(line(run.space, run.start, g, run.options.weight, run.best_cost)):
+            run.adopt(2)
+        if run.over():
+            return
+    _first_paths(run)
+    while not run.over():
+        _round(run)
+
+
+def _first_paths(run: Run) -> None:
+    """Find any path, then the ways out of the leaves and paths over them, then paths to the goals that are still worth it."""
+    waiting = list(range(len(run.goals)))
+    while waiting and not math.isfinite(run.best_cost) and not run.over():
+        run.reach(run.goals[waiting.pop(0)], run.left(run.options.connect_samples))
+    run.look_for_ways_out()
+    run.use_ways_out()
+    for g in waiting:
+        if run.over():
+            return
+        if run.least_cost(g) < run.best_cost:
+            run.reach(run.goals[g], run.left(run.options.connect_samples))
+
+
+def _round(run: Run) -> None:
+    """One batch of roadmap samples with its search, at times one for a detour, then more ways out, then polishing of the tracks."""
+    o = run.options
+    if run.road.size[0] + o.batch + MAX_WAYPOINTS > len(run.road.rows) or 2 * run.road.size[1] > len(run.road.length):
+        run.road = graph.enlarged(run.road)
+    best_track = int(np.argmin(run.tracks.cost))
+    if not math.isfinite(run.best_cost):
+        # Still no path at all: harder tries, goal after goal, before the roadmap has its turn again.
+        run.tries += 1
+        samples = o.connect_samples * min(2 ** (run.tries // len(run.goals) + 1), 64)
+        run.reach(run.goals[run.tries % len(run.goals)], run.left(samples))
+        if run.over():
+            return
+    samples = run.left(o.batch)
+    _grow(run.space, run.road, run.tracks, samples, run.best_cost, run.least, run.most, run.random, run.q)
+    run.iterations += samples
+    if math.isfinite(run.tracks.cost[best_track]):
+        goal = run.goal_vertex(best_track)
+        count = int(run.tracks.size[best_track])
+        graph.add_path(run.space, run.road, run.tracks.points[best_track], run.tracks.segment[best_track], count, goal)
+    count = run.search(run.best_cost, run.everywhere)
+    if count:
+        run.adopt(count)
+    run.rounds += 1
+    if run.rounds % _DETOURS == 0 and not run.over():
+        run.detours.look(run, 2 * o.batch)
+    if run.over():
+        return
+    run.improve_ways_out(4, o.batch // 2)
+    trials = int(o.polish * len(run.start) * o.batch)
+    alive = np.argsort(run.tracks.cost)[: o.tracks]
+    alive = alive[np.isfinite(run.tracks.cost[alive])]
+    for place, t in enumerate(alive):
+        if run.over():
+            return
+        wanted = max(_LEAST_TRIALS, trials / 2 ** (place + 1))
+        given = max(_LEAST_TRIALS, int(wanted / 2 if run.idle[t] else wanted))
+        run.spare += wanted - given
+        run.polish(int(t), given)
+    before = run.iterations
+    while len(alive) and run.spare > run.iterations - before and not run.over():
+        if not run.restarts.look(run):
+            run.polish(int(alive[0]), int(run.spare) + 1)
+    run.spare -= run.iterations - before  # below zero after a long try: the next rounds make up for it

@@ -1,0 +1,248 @@
+"""The demo: scene, arm and planner as processes of their own, a plan asked for and carried out, and a table and a picture of it."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import dataclasses
+import importlib.util
+import signal
+import time
+from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from lime_planner.core.errors import ParameterError
+from lime_planner.core.parameters import PARAMETERS, parse_assignment, settings_from
+from lime_planner.core.status import Status
+from lime_planner.ros.demo.processes import Corner, DemoError, Processes
+from lime_planner.ros.demo.report import MOTION_TIMEOUT_S, Columns, Driven, report, verdict
+
+if TYPE_CHECKING:
+    import numpy as np
+    import numpy.typing as npt
+
+    from lime_planner.robot.model import Robot
+    from lime_planner.ros.demo.client import DemoClient
+    from lime_planner.ros.model_loader import Loaded
+    from lime_planner.scene.scene import Scene
+
+    Array = npt.NDArray[np.float64]
+
+DEFAULT_SEED = 15
+_READY_TIMEOUT_S = 600.0  # compiling everything for the first time takes its while on a slow machine
+_REPEAT_S = 20.0  # no longer silence than this
+_TARGETS_TRIED = 80
+
+_EPILOG = """\
+Three nodes run as processes on this machine, in a ROS domain and a namespace of
+their own: a scene (clouds and target), a simulated arm, the planner. The demo
+asks ~/plan, which moves the (simulated) arm, and measures where it ends.
+
+examples:
+  make demo
+  make demo SCENE=plant.npz
+  make demo SCENE=scan.npz DEMO_ARGS='--offset 0.55 0 0.05 --controller kinova'
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the demo's arguments."""
+    parser.epilog = _EPILOG
+    parser.add_argument("--scene", type=Path, metavar="FILE", help="scene file (.npz, .ply, .pcd); default: a generated lime plant")
+    parser.add_argument("--plant-seed", type=int, default=DEFAULT_SEED, metavar="N", help=f"which plant is grown (default {DEFAULT_SEED})")
+    parser.add_argument("--scale", type=float, default=1.0, metavar="S", help="metres for each unit of the scene file (default 1)")
+    parser.add_argument("--offset", nargs=3, type=float, metavar=("X", "Y", "Z"), help="then move the scene by this [m]")
+    pose = ("X", "Y", "Z", "QX", "QY", "QZ", "QW")
+    parser.add_argument("--target", nargs=7, type=float, metavar=pose, help="pose of the tool at the fruit; default: the scene's, or drawn")
+    parser.add_argument("--controller", choices=("jtc", "kinova"), default="jtc", help="whose rules the arm follows (default jtc)")
+    parser.add_argument("--out", type=Path, default=Path("out"), metavar="DIR", help="folder for picture, figures and logs (default out)")
+    parser.add_argument(
+        "--set", action="append", default=[], metavar="PARAMETER=VALUE", dest="assignments", help="set any parameter; repeatable"
+    )
+
+
+class Clock:
+    """Prints what happens, each line with the time since the start."""
+
+    def __init__(self) -> None:
+        """Start."""
+        self._began = time.monotonic()
+
+    def say(self, text: str) -> None:
+        """Print one line."""
+        print(f"[{time.monotonic() - self._began:5.1f} s] {text}", flush=True)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run the demo; 0 only if the arm ended at the target."""
+    clock = Clock()
+    values = dict(parse_assignment(text) for text in args.assignments)
+    planning = {name: value for name, value in values.items() if name in PARAMETERS}
+    settings = settings_from(planning)
+    if settings.robot == "topic":
+        raise ParameterError("robot: the demo needs a built-in model or a URDF file")
+    if importlib.util.find_spec("rclpy") is None:
+        raise ModuleNotFoundError("the demo needs ROS 2", name="rclpy")
+    from lime_planner.ros.model_loader import build
+    from lime_planner.scene.files import save_scene
+
+    clock.say("reading the scene" if args.scene else "growing a lime plant")
+    scene = scene_of(args)
+    args.out.mkdir(parents=True, exist_ok=True)
+    corner = Corner.own()
+    arm = {"robot": settings.robot, "controller": args.controller}
+    with quick_end(), Processes(corner, args.out / "logs") as nodes:
+        clock.say(f"starting planner_node and mock_arm_node in ROS domain {corner.domain}, namespace {corner.namespace}")
+        nodes.start("planner_node", "lime_planner.ros.nodes.planner_node", {**arm, **values})
+        nodes.start("mock_arm_node", "lime_planner.ros.nodes.mock_arm_node", arm)
+        loaded = build(settings, None)
+        scene = completed_scene(scene, loaded, planning, clock)
+        path = args.out / "scene.npz"
+        save_scene(path, scene)
+        clock.say("starting scene_node")
+        nodes.start("scene_node", "lime_planner.ros.nodes.scene_node", {"file": str(path.resolve())})
+        driven, comparisons = _drive(corner, nodes, loaded, scene, planning, clock)
+    picture = report(args, loaded.robot, scene, driven, comparisons)
+    clock.say(f"picture: {picture}   figures: {args.out / 'demo.json'}   logs: {args.out / 'logs'}")
+    return verdict(loaded.robot, scene, driven)
+
+
+def scene_of(args: argparse.Namespace) -> Scene:
+    """Load or grow the scene and put it where the options say; its frame is empty where a file names none."""
+    import numpy as np
+
+    from lime_planner.scene.files import load_scene
+    from lime_planner.scene.plants.generator import generate_plant
+
+    if args.scene is None:
+        scene = generate_plant(np.random.default_rng(args.plant_seed))
+    else:
+        scene = load_scene(args.scene, scale=args.scale, offset=args.offset, default_frame="")
+    return scene if args.target is None else dataclasses.replace(scene, target_pose=np.asarray(args.target))
+
+
+def completed_scene(scene: Scene, loaded: Loaded, planning: Mapping[str, Any], clock: Clock) -> Scene:
+    """Give the scene what it lacks: the arm's frame, and a target among its leaves.
+
+    Raises:
+        DemoError: it is in another frame, or no drawn target can be reached.
+    """
+    frame = loaded.robot.planning_frame
+    scene = dataclasses.replace(scene, frame_id=scene.frame_id or frame)
+    if scene.frame_id != frame:
+        raise DemoError(f"the scene is in the frame {scene.frame_id!r}, the arm plans in {frame!r}", Status.TF_ERROR)
+    if scene.target_pose is None:
+        clock.say("the scene has no target; looking for a place in its canopy that the arm can reach")
+        loaded.pipeline.warm_up()
+        scene = _with_drawn_target(scene, loaded, planning)
+    return scene
+
+
+def _with_drawn_target(scene: Scene, loaded: Loaded, planning: Mapping[str, Any]) -> Scene:
+    """Give a scan without fruit a target among its leaves: the first of some drawn ones to which a path is found."""
+    import numpy as np
+
+    from lime_planner.core.geometry import pose_to_matrix
+    from lime_planner.robot.model import home
+    from lime_planner.scene.plants.grasp_targets import canopy_targets
+
+    poses = canopy_targets(scene, np.random.default_rng(DEFAULT_SEED), _TARGETS_TRIED)
+    settings = settings_from(planning)
+    for pose in poses:
+        result = loaded.pipeline.plan(scene, pose_to_matrix(pose), home(loaded.robot), settings, seed=DEFAULT_SEED)
+        if result.status is Status.SUCCEEDED:
+            return dataclasses.replace(scene, target_pose=pose)
+        if result.status in (Status.START_INVALID, Status.START_IN_STEM):
+            raise DemoError(f"{result.message.partition(': ')[2]}; move the scene with --offset X Y Z", result.status)
+    sentence = f"no path was found to any of {len(poses)} places drawn in the canopy"
+    raise DemoError(f"{sentence}; give a --target, or move the scene with --offset X Y Z", Status.GOAL_IN_STEM)
+
+
+@contextlib.contextmanager
+def quick_end() -> Any:
+    """Turn SIGTERM into an exception, so that the nodes are ended on the way out."""
+
+    def end(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    before = signal.signal(signal.SIGTERM, end)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def _drive(
+    corner: Corner, nodes: Processes, loaded: Loaded, scene: Scene, planning: Mapping[str, Any], clock: Clock
+) -> tuple[Driven, Columns]:
+    """Ask for the plan and follow the motion; the plans to compare with are made meanwhile."""
+    from lime_planner.ros.demo.client import DemoClient
+
+    with DemoClient(corner, loaded.robot.joint_names, nodes.check) as client:
+        client.wait(client.planner_serves, 60.0, "the planner's service and the arm's joint states")
+        clock.say("all nodes are up")
+        _wait_until_ready(client, nodes.check, clock)
+        clock.say(f"calling {corner.namespace}/lime_planner/plan")
+        before = len(client.states)
+        success, message = client.plan(60.0)
+        clock.say(message)
+        q_start = client.states[max(0, before - 1)]
+        with ThreadPoolExecutor(1) as pool:
+            comparisons = pool.submit(_compare, loaded, scene, q_start, planning)
+            if success:
+                _follow(client, nodes, loaded.robot, scene, clock)
+            columns = comparisons.result()
+        for heading, figures in columns:
+            clock.say(f"for comparison, {heading}: {figures['message']}")
+        return Driven(success, message, dict(client.status), client.states[max(0, before - 1) :]), columns
+
+
+def _wait_until_ready(client: DemoClient, check: Callable[[], None], clock: Clock) -> None:
+    """Follow the planner's loading and compiling; it says in its health message how far it is."""
+    began, said, due = time.monotonic(), "", 0.0
+    while client.engine != "ready":
+        state, waited_s = client.engine, time.monotonic() - began
+        if state and (state != said or waited_s > due):
+            first = " (minutes the first time ever, a second or two later)" if "compil" in state else ""
+            clock.say(f"the planner is {'still ' if state == said else ''}{state}{first if state != said else ''}")
+            said, due = state, waited_s + _REPEAT_S
+        if "cannot be loaded" in said or "failed" in said:
+            raise DemoError(said, Status.BAD_INPUT)
+        if waited_s > _READY_TIMEOUT_S:
+            raise DemoError(f"the planner was not ready after {_READY_TIMEOUT_S:g} s; it says: {said or 'nothing'}")
+        check()
+        time.sleep(0.05)
+
+
+def _follow(client: DemoClient, nodes: Processes, robot: Robot, scene: Scene, clock: Clock) -> None:
+    """Print where the tool is until the motion has ended and the arm rests."""
+    import numpy as np
+
+    assert scene.target_pose is not None
+    deadline = time.monotonic() + MOTION_TIMEOUT_S
+    while not client.status.get("execution_code"):
+        distance_m = float(np.linalg.norm(robot.forward(client.states[-1])[:3, 3] - scene.target_pose[:3]))
+        clock.say(f"the arm moves; the tool is {1000.0 * distance_m:.0f} mm from the target")
+        next_line = time.monotonic() + 1.0
+        while time.monotonic() < next_line and not client.status.get("execution_code"):
+            nodes.check()
+            time.sleep(0.02)
+        if time.monotonic() > deadline:
+            return
+    client.wait(client.still, 5.0, "the arm to rest")
+
+
+def _compare(loaded: Loaded, scene: Scene, q_start: Array, planning: Mapping[str, Any]) -> Columns:
+    """Plan the same reach with leaves as solid obstacles, and with leaves ignored (their contact still counted)."""
+    from lime_planner.core.geometry import pose_to_matrix
+
+    assert scene.target_pose is not None
+    loaded.pipeline.warm_up()
+    columns: Columns = []
+    for heading, policy in (("leaves solid", "solid"), ("leaves ignored", "ignored")):
+        settings = settings_from({**planning, "leaf_policy": policy})
+        result = loaded.pipeline.plan(scene, pose_to_matrix(scene.target_pose), q_start, settings, seed=settings.seed or 1)
+        columns.append((heading, result.figures()))
+    return columns

@@ -1,0 +1,317 @@
+"""The one place from which a motion leaves, and the watch over it until the arm rests.
+
+`send` checks everything that must hold at that moment; `stop` may come from any thread at any time; `on_state` and `tick` are
+called by the executor while a motion runs. A motion is never sent while another runs.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from lime_planner.core.refusal import Refusal
+from lime_planner.core.status import Status
+from lime_planner.motion.trajectory import Trajectory
+from lime_planner.ros.execution.motion import Ended, Motion
+from lime_planner.ros.inputs.joint_states import ArmState, JointHistory
+from lime_planner.ros.parameters import Snapshot
+
+Array = npt.NDArray[np.float64]
+
+#: Joint states must be silent for at least this long to stop a motion, whatever age a plan may start from [s]: a machine under
+#: load holds them up for some tenths of a second, and the motion that was checked does not become wrong by that.
+SILENCE_S = 0.5
+
+
+@dataclass(frozen=True)
+class _Stop:
+    """A stop that was sent.
+
+    Attributes:
+        motion, status, sentence: what was stopped, as what, and why.
+        sent_s: when, on the monotonic clock.
+        over_s: when it should be over.
+    """
+
+    motion: Motion
+    status: Status
+    sentence: str
+    sent_s: float
+    over_s: float
+
+
+#: Makes the stop: (motion or None, newest measured state or None, arm on the plan?) -> what to send, or None.
+StopMaker = Callable[[Motion | None, ArmState | None, bool], Trajectory | None]
+
+
+class Execution:
+    """Sends motions, watches the one that runs, stops it."""
+
+    def __init__(
+        self,
+        joints: JointHistory,
+        prepare: Callable[[Trajectory], Any],
+        publish: Callable[[Any], None],
+        subscribers: Callable[[], int],
+        make_stop: StopMaker,
+        on_stop: Callable[[Motion], None],
+        on_end: Callable[[Ended], None],
+        may_move: Callable[[], bool],
+        simulated: Callable[[], float | None] = lambda: None,
+    ) -> None:
+        """Make an execution at rest.
+
+        Args:
+            joints: the measured states.
+            prepare: makes a message of a trajectory.
+            publish: puts it on the wire.
+            subscribers: how many listen to the motion command.
+            make_stop: the controller's way of stopping.
+            on_stop: is told about each motion that is being stopped.
+            on_end: is told about each motion's end, once, from whichever thread notices.
+            may_move: whether motions are allowed now, whatever was allowed when the plan was asked for.
+            simulated: a simulation's time now [s], None without one.
+        """
+        self._joints = joints
+        self._prepare = prepare
+        self._publish = publish
+        self._subscribers = subscribers
+        self._make_stop = make_stop
+        self._on_stop = on_stop
+        self._on_end = on_end
+        self._may_move = may_move
+        self._simulated = simulated
+        self._lock = threading.RLock()
+        self._motion: Motion | None = None
+        self._stopping: _Stop | None = None
+        self._restless: Motion | None = None  # a motion that could not be seen to rest after its stop, until the arm is seen to
+        self._last: Motion | None = None
+        #: How often somebody wanted the arm to stop and to stay: whoever would move it again by himself must look at this.
+        self.cancels = 0
+
+    @property
+    def motion(self) -> Motion | None:
+        """The motion that runs (not one that is being stopped)."""
+        return self._motion
+
+    @property
+    def active(self) -> bool:
+        """Whether a motion runs or has not come to rest after its stop."""
+        with self._lock:
+            return self._motion is not None or self._stopping is not None
+
+    @property
+    def ending(self) -> Motion | None:
+        """The motion that is being stopped."""
+        stopping = self._stopping
+        return None if stopping is None else stopping.motion
+
+    @property
+    def stopping(self) -> bool:
+        """Whether a stop was sent and the arm does not rest yet."""
+        return self.ending is not None
+
+    @property
+    def last(self) -> Motion | None:
+        """The newest motion that was sent, running or not; what a retreat goes back along."""
+        return self._last
+
+    def forget_last(self) -> None:
+        """Nothing to retreat along any more."""
+        self._last = None
+
+    def send(
+        self, plan_id: int, result: Any, trajectory: Trajectory, snapshot: Snapshot, commit: Callable[[], bool], **more: Any
+    ) -> Motion | None:
+        """Check once more and send.
+
+        Args:
+            plan_id: the request.
+            result: its plan.
+            trajectory: what to send; its first point is where planning began.
+            snapshot: the parameters of the plan.
+            commit: the request's point of no return; False when it was answered meanwhile, then nothing is sent.
+            **more: further attributes of `Motion`.
+
+        Returns:
+            The motion, or None when the request was answered meanwhile.
+
+        Raises:
+            Refusal: MOTION_DISABLED, ARM_MOVING, STALE_INPUT and its kin, NO_CONTROLLER.
+        """
+        node = snapshot.node
+        message = self._prepare(trajectory)  # outside the lock: a stop must not wait for it
+        with self._lock:
+            if not (node.motion_enabled and self._may_move()):
+                raise Refusal(Status.MOTION_DISABLED, "planned and published, but not sent, because motion_enabled is false")
+            if self._motion is not None or self._stopping is not None:
+                raise Refusal(Status.ARM_MOVING, "another motion has not ended")
+            state = self._joints.fresh(node.max_joint_state_age_s, node.max_clock_skew_s)
+            self._check_start(state.q, trajectory, node.start_tolerance_rad)
+            if self._subscribers() == 0:
+                raise Refusal(Status.NO_CONTROLLER, "nobody subscribes to joint_trajectory")
+            if not commit():
+                return None
+            self._publish(message)
+            self._motion = self._last = Motion(
+                plan_id,
+                result,
+                trajectory,
+                time.monotonic(),
+                snapshot,
+                simulated=self._simulated,
+                simulated_start_s=self._simulated(),
+                **more,
+            )
+            self._restless = None
+            return self._motion
+
+    def _check_start(self, q: Array, trajectory: Trajectory, tolerance_rad: float) -> None:
+        off = np.abs(q - trajectory.positions[0])  # without turns removed: the controller takes the angles literally
+        worst = int(off.argmax())
+        if off[worst] > tolerance_rad:
+            raise Refusal(
+                Status.ARM_MOVING,
+                f"{trajectory.joint_names[worst]} is {off[worst]:.3f} rad from where planning began, the limit is {tolerance_rad:g} rad",
+            )
+
+    def stop(self, status: Status, sentence: str) -> bool:
+        """Stop what runs; the command is on the wire on return. False when nothing of ours runs.
+
+        Somebody who stops an arm again that should stand by now, and does not, gets a hold sent.
+
+        Args:
+            status: the motion's `execution_code`.
+            sentence: why.
+        """
+        with self._lock:
+            cancelled = status is Status.CANCELLED
+            self.cancels += cancelled
+            motion = self._motion
+            if motion is None:
+                if cancelled and self._stopping is not None:
+                    self._stop_again(self._stopping, sentence)
+                return self._stopping is not None
+            command = self._make_stop(motion, self._joints.newest, status is not Status.EXECUTION_DEVIATED)
+            now_s = time.monotonic()
+            over_s = now_s + motion.snapshot.node.execution_lag_s
+            if command is not None:
+                self._publish(self._prepare(command))
+                over_s += command.duration_s
+            self._motion = None
+            self._stopping = _Stop(motion, status, sentence, now_s, over_s)
+        self._on_stop(motion)
+        return True
+
+    def _stop_again(self, stop: _Stop, sentence: str) -> None:
+        """Take in that somebody wants an arm to stay that is being stopped already."""
+        node = stop.motion.snapshot.node
+        if time.monotonic() > stop.over_s and self._joints.moving(node.stillness_time_s, node.stillness_rad):
+            self._hold()
+        # A motion that is aborted may be planned again; a cancelled one may not.
+        self._stopping = dataclasses.replace(stop, status=Status.CANCELLED, sentence=sentence)
+
+    def _hold(self) -> bool:
+        command = self._make_stop(None, self._joints.newest, False)
+        if command is not None:
+            self._publish(self._prepare(command))
+        return command is not None
+
+    def hold_foreign_motion(self, snapshot: Snapshot) -> str:
+        """Send a hold when the arm moves although nothing of ours runs: a motion from before a restart, say, or one that did not end.
+
+        Returns:
+            What was found and done, in words; empty when the arm rests, as far as is known.
+        """
+        node = snapshot.node
+        with self._lock:
+            state = self._joints.newest
+            if self.active or state is None or state.age_s(time.monotonic()) > SILENCE_S:
+                return ""
+            if not self._joints.moving(node.stillness_time_s, node.stillness_rad):
+                return ""
+            if self._restless is not None:
+                return f"the arm has not come to rest since plan {self._restless.plan_id}: a hold was sent" if self._hold() else ""
+            if not node.motion_enabled:  # whoever has forbidden motions moves the arm by other means, or must stop it by them
+                return "the arm moves, but not by this node, and no hold was sent, because motion_enabled is false"
+            return "the arm moved, but not by this node: a hold was sent" if self._hold() else ""
+
+    def reached_s(self, motion: Motion) -> float:
+        """Return how far on a motion's plan the arm was when it was measured last [s]; it is not behind that now."""
+        state = self._joints.newest
+        return max(motion.span_s()[0] - motion.snapshot.node.execution_lag_s, 0.0) if state is None else motion.fit(state)[0]
+
+    def on_state(self, state: ArmState) -> None:
+        """Compare a new measurement with the plan."""
+        with self._lock:
+            motion = self._motion
+            if motion is None:
+                return
+            off = np.abs(motion.fit(state)[1])
+            joint = int(off.argmax())
+            limit = motion.snapshot.node.execution_tolerance_rad
+            if off[joint] > limit:
+                name = motion.trajectory.joint_names[joint]
+                sentence = f"{name} is {off[joint]:.3f} rad from the plan at {motion.elapsed_s():.2f} s, the limit is {limit:g} rad"
+                self.stop(Status.EXECUTION_DEVIATED, sentence)
+
+    def tick(self) -> None:
+        """Notice silence, the end, and rest after a stop; to be called some 20 times a second."""
+        ended: Ended | None = None
+        with self._lock:
+            if self._stopping is not None:
+                ended = self._rest_after_stop()
+            elif self._motion is not None:
+                ended = self._look_at(self._motion)
+            elif self._restless is not None:
+                node = self._restless.snapshot.node
+                if self._joints.still(node.stillness_time_s, node.stillness_rad):
+                    self._restless = None
+        if ended is not None:
+            self._on_end(ended)
+
+    def _rest_after_stop(self) -> Ended | None:
+        assert self._stopping is not None
+        stop = self._stopping
+        node = stop.motion.snapshot.node
+        waited_s = time.monotonic() - stop.sent_s
+        rests = waited_s >= node.stillness_time_s and self._joints.still(node.stillness_time_s, node.stillness_rad)
+        if not rests and waited_s < node.stillness_timeout_s:
+            return None
+        self._stopping = None
+        self._restless = None if rests else stop.motion
+        more = "" if rests else f"; it could not be seen to rest within {node.stillness_timeout_s:g} s"
+        return Ended(stop.motion, stop.status, stop.sentence + more, self.cancels)
+
+    def _look_at(self, motion: Motion) -> Ended | None:
+        node = motion.snapshot.node
+        state = self._joints.newest
+        limit_s = max(node.max_joint_state_age_s, SILENCE_S)
+        silent_s = motion.elapsed_s() if state is None else min(state.age_s(time.monotonic()), motion.elapsed_s() + limit_s)
+        if silent_s > limit_s:
+            sentence = f"the joint states fell silent for {silent_s:.2f} s during the motion, the limit is {limit_s:g} s"
+            self.stop(Status.STALE_INPUT, sentence)
+            return None
+        least_s, most_s = motion.span_s()
+        if most_s < motion.trajectory.duration_s or state is None:
+            return None
+        off = float(np.abs(state.q - motion.trajectory.positions[-1]).max())
+        if off <= node.goal_tolerance_rad and self._joints.still(node.stillness_time_s, node.stillness_rad):
+            self._motion = None
+            sentence = f"the arm rests {off:.4f} rad from the planned end after {motion.elapsed_s():.2f} s"
+            return Ended(motion, Status.SUCCEEDED, sentence, self.cancels)
+        late_s = least_s - motion.trajectory.duration_s
+        if late_s > node.goal_time_s:
+            self.stop(
+                Status.EXECUTION_DEVIATED,
+                f"{late_s:.2f} s after the motion's end the arm is {off:.3f} rad from its last point, "
+                f"the limit is {node.goal_tolerance_rad:g} rad, at rest",
+            )
+        return None

@@ -1,0 +1,53 @@
+"""The way back: which waypoints lead from where the arm rests along the path that brought it there."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from lime_planner.core.refusal import Refusal
+from lime_planner.core.status import Status
+
+Array = npt.NDArray[np.float64]
+
+#: Farther from the path than this the way back is unknown [rad, over all joints].
+OFF_PATH_RAD = 0.1
+#: Closer to the path's beginning than this nothing is left to go back [rad].
+ARRIVED_RAD = 0.01
+
+
+def nearest_on_path(waypoints: Array, q: Array) -> tuple[int, float]:
+    """Return the segment (its first waypoint's index) of a polyline (M, n) that is nearest to q (n,), and its distance [rad]."""
+    begins, steps = waypoints[:-1], np.diff(waypoints, axis=0)
+    lengths2 = np.maximum((steps**2).sum(axis=1), 1e-18)
+    shares = np.clip(((q - begins) * steps).sum(axis=1) / lengths2, 0.0, 1.0)
+    distances = np.linalg.norm(q - begins - shares[:, None] * steps, axis=1)
+    # Of equally near ones the last: a path that passes a place twice was left at its later pass.
+    index = int(len(distances) - 1 - np.argmin(distances[::-1]))
+    return index, float(distances[index])
+
+
+def way_back(waypoints: npt.ArrayLike, q: npt.ArrayLike, *, forward: bool = False) -> Array:
+    """Return waypoints (K, n) from q back to the path's beginning.
+
+    Args:
+        waypoints: the path that was executed, as far as it went or beyond, (M, n) [rad].
+        q: where the arm rests, (n,).
+        forward: the path was itself a way back: go on to its end instead.
+
+    Raises:
+        Refusal: START_INVALID when the arm is not on the path, NOTHING_TO_EXECUTE when it is back already.
+    """
+    path, here = np.asarray(waypoints, dtype=np.float64), np.asarray(q, dtype=np.float64)
+    if forward:
+        path = path[::-1]
+    if np.abs(here - path[0]).max() <= ARRIVED_RAD:
+        raise Refusal(Status.NOTHING_TO_EXECUTE, "the arm is back where the last motion began")
+    index, distance = nearest_on_path(path, here)
+    if distance > OFF_PATH_RAD:
+        raise Refusal(Status.START_INVALID, f"the arm is {distance:.3f} rad from the path executed last, the limit is {OFF_PATH_RAD:g} rad")
+    back = [here]
+    for waypoint in path[index::-1]:
+        if np.abs(waypoint - back[-1]).max() > 1e-6:
+            back.append(waypoint)
+    return np.array(back)

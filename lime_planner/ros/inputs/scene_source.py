@@ -1,0 +1,227 @@
+"""From the newest clouds to one immutable scene in the planning frame; runs in the worker."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from lime_planner.core.errors import SceneError
+from lime_planner.core.refusal import Refusal
+from lime_planner.core.status import Status
+from lime_planner.ros.inputs.clouds import COST_FIELD, decode_cloud
+from lime_planner.ros.inputs.frames import Frames
+from lime_planner.ros.inputs.latest import CLOUDS, Inputs, Sample
+from lime_planner.ros.parameters import NodeSettings, Snapshot
+from lime_planner.scene.scene import Scene, merged
+
+Float32 = npt.NDArray[np.float32]
+Array = npt.NDArray[np.float64]
+#: Removes the arm from a scene: (scene, configuration at the cloud's stamp or None, padding [m]) -> scene.
+ArmFilter = Callable[[Scene, npt.NDArray[np.float64] | None, float], Scene]
+
+_LEAF, _HARD = 0, 1  # labels given here to the points of the two separate clouds
+
+
+@dataclass(frozen=True)
+class _Key:
+    """What a cloud's scene was made of: the same cloud and settings need no second look."""
+
+    number: int
+    labels: tuple[object, ...]
+    padding_m: float
+    arm: tuple[float, ...] | None
+
+
+class SceneSource:
+    """Makes scenes of the inputs and keeps the last ones."""
+
+    def __init__(self, inputs: Inputs, frames: Frames, planning_frame: str, arm_filter: ArmFilter) -> None:
+        """Make a source.
+
+        Args:
+            inputs: where the clouds arrive.
+            frames: where their frames are.
+            planning_frame: frame of the scenes.
+            arm_filter: removes the arm's own points.
+        """
+        self._inputs = inputs
+        self._frames = frames
+        self._planning_frame = planning_frame
+        self._arm_filter = arm_filter
+        self._parts: dict[str, tuple[_Key, Scene]] = {}
+        self._merged: tuple[list[Scene], Scene] | None = None
+        self._lock = threading.Lock()  # the worker and the execution watch ask
+
+    def newest_stem_number(self) -> int:
+        """Return a number that changes whenever a cloud with stems arrives."""
+        return sum(self._inputs.slots[name].received for name in ("stem_cloud", "labelled_cloud"))
+
+    def scene(self, snapshot: Snapshot, should_stop: Callable[[], bool]) -> Scene:
+        """Return the scene of the newest clouds.
+
+        Raises:
+            Refusal: NO_CLOUD, BAD_INPUT, STALE_INPUT, TF_ERROR; CANCELLED when it should stop.
+        """
+        with self._lock:
+            samples = self._samples(snapshot.node)
+            scene = self._scene(samples, snapshot, should_stop)
+            for name, sample in samples.items():
+                self._inputs.slots[name].use(sample)
+        _refuse_emptiness(samples, scene, snapshot.node)
+        return scene
+
+    def changed_stems(self, number: int, snapshot: Snapshot, should_stop: Callable[[], bool]) -> Scene | None:
+        """Return the newest stems if any came after a scene was made, else None, the newest clouds' ages checked once more.
+
+        Args:
+            number: `newest_stem_number` before the scene was made.
+            snapshot: the parameters.
+            should_stop: ends a wait early.
+
+        Raises:
+            Refusal: see `scene`; an empty cloud is NO_CLOUD here too.
+        """
+        if self.newest_stem_number() == number:
+            for name, sample in self._samples(snapshot.node).items():
+                sample.check_time(name, snapshot.node.max_cloud_age_s, snapshot.node.max_clock_skew_s)
+            return None
+        scene = self.stems(snapshot, should_stop)
+        _refuse_emptiness(("the stem cloud that came while planning",), scene, snapshot.node)
+        return scene
+
+    def stems(self, snapshot: Snapshot, should_stop: Callable[[], bool], settle_s: float = 0.0) -> Scene:
+        """Return the scene of the newest stems alone, for the watch over a motion; the leaf cloud is left for the next plan.
+
+        Args:
+            snapshot: the parameters.
+            should_stop: ends a wait early.
+            settle_s: how long to wait at most for the joint states that tell where a moving arm stood at the cloud's stamp [s]; before
+                that its own points would be looked for in a wrong place.
+
+        Raises:
+            Refusal: see `scene`.
+        """
+        samples = self._samples(snapshot.node)
+        samples.pop("leaf_cloud", None)
+        deadline_s = time.monotonic() + settle_s
+        while not all(self._inputs.arm_at_clouds.settled(name, sample.number) for name, sample in samples.items()):
+            if time.monotonic() >= deadline_s or should_stop():
+                break
+            time.sleep(0.005)
+        with self._lock:
+            scene = self._scene(samples, snapshot, should_stop)
+            for name, sample in samples.items():
+                self._inputs.slots[name].use(sample)
+            return scene
+
+    def _scene(self, samples: dict[str, Sample], snapshot: Snapshot, should_stop: Callable[[], bool]) -> Scene:
+        for name, sample in samples.items():
+            if sample.refusal is not None:
+                raise Refusal(Status.BAD_INPUT, sample.refusal)
+            sample.check_time(name, snapshot.node.max_cloud_age_s, snapshot.node.max_clock_skew_s)
+        self._check_skew(samples, snapshot.node.max_cloud_skew_s)
+        parts = [self._kept_part(name, sample, snapshot, should_stop) for name, sample in samples.items()]
+        if len(parts) == 1:
+            return parts[0]
+        if (
+            self._merged is None
+            or len(self._merged[0]) != len(parts)
+            or any(a is not b for a, b in zip(self._merged[0], parts, strict=True))
+        ):
+            self._merged = (parts, merged(parts, self._planning_frame))
+        return self._merged[1]
+
+    def _samples(self, node: NodeSettings) -> dict[str, Sample]:
+        """Return the newest clouds that belong together: the labelled one, or leaf and stem, whichever came last."""
+        newest = {name: self._inputs.slots[name].newest for name in CLOUDS}
+        there = {name: sample for name, sample in newest.items() if sample is not None}
+        labelled = there.pop("labelled_cloud", None)
+        if labelled is not None and all(labelled.arrival_s >= sample.arrival_s for sample in there.values()):
+            return {"labelled_cloud": labelled}
+        if "stem_cloud" not in there:
+            if labelled is not None:  # only a leaf cloud is newer: the stems are known from the labelled one alone
+                return {"labelled_cloud": labelled}
+            if not node.allow_empty_stem_cloud:
+                raise Refusal(Status.NO_CLOUD, "no stem cloud has been received (allow_empty_stem_cloud permits motion without)")
+        return there
+
+    def _check_skew(self, samples: dict[str, Sample], limit_s: float) -> None:
+        if limit_s <= 0.0 or not {"leaf_cloud", "stem_cloud"} <= samples.keys():
+            return
+        leaf, stem = samples["leaf_cloud"], samples["stem_cloud"]
+        stamped = leaf.stamp_s > 0.0 and stem.stamp_s > 0.0
+        skew_s = abs(leaf.stamp_s - stem.stamp_s) if stamped else abs(leaf.arrival_s - stem.arrival_s)
+        if skew_s > limit_s:
+            raise Refusal(Status.STALE_INPUT, f"leaf and stem cloud are {skew_s:.2f} s apart, the limit is {limit_s:g} s")
+
+    def _kept_part(self, name: str, sample: Sample, snapshot: Snapshot, should_stop: Callable[[], bool]) -> Scene:
+        """Return one cloud's scene: the same object again as long as cloud and settings are the same."""
+        node = snapshot.node
+        labels = (node.label_field, node.leaf_labels, node.stem_labels, node.fruit_labels, node.ignored_labels)
+        q = self._inputs.arm_at_clouds.at(name, sample.number)  # may be known better than at the last look
+        key = _Key(sample.number, labels, snapshot.plan.self_filter_padding_m, None if q is None else tuple(q))
+        kept = self._parts.get(name)
+        if kept is None or kept[0] != key:
+            kept = self._parts[name] = (key, self._checked_part(name, sample, q, snapshot, should_stop))
+        return kept[1]
+
+    def _checked_part(self, name: str, sample: Sample, q: Array | None, snapshot: Snapshot, should_stop: Callable[[], bool]) -> Scene:
+        try:
+            return self._part(name, sample, q, snapshot, should_stop)
+        except Refusal as error:
+            if error.status is Status.BAD_INPUT:
+                self._inputs.slots[name].reject(sample, str(error))
+            raise
+        except SceneError as error:
+            self._inputs.slots[name].reject(sample, f"{name}: {error}")
+            raise Refusal(Status.BAD_INPUT, f"{name}: {error}") from None
+
+    def _part(self, name: str, sample: Sample, q: Array | None, snapshot: Snapshot, should_stop: Callable[[], bool]) -> Scene:
+        node = snapshot.node
+        labelled = name == "labelled_cloud"
+        cloud = decode_cloud(sample.msg, name, required=(node.label_field,) if labelled else (), optional=(COST_FIELD,))
+        header = sample.msg.header
+        _ask(should_stop)  # between steps: each of them takes a fraction of a second where a cloud has millions of points
+        points = self._in_planning_frame(cloud.points, header, node.tf_timeout_s, should_stop)
+        labels = cloud.columns[node.label_field] if labelled else np.full(len(points), _LEAF if name == "leaf_cloud" else _HARD, np.int64)
+        if labelled and len(node.fruit_labels) > 1:
+            labels = np.where(np.isin(labels, node.fruit_labels), node.fruit_labels[0], labels)
+        scene = Scene.from_points(
+            points,
+            labels,
+            frame_id=self._planning_frame,
+            leaf_labels=node.leaf_labels if labelled else (_LEAF,),
+            stem_labels=node.stem_labels if labelled else (_HARD,),
+            fruit_label=(node.fruit_labels[0] if node.fruit_labels else None) if labelled else None,
+            ignored_labels=node.ignored_labels if labelled else (),
+            permeability_cost=cloud.columns.get(COST_FIELD),
+        )
+        _ask(should_stop)
+        return self._arm_filter(scene, q, snapshot.plan.self_filter_padding_m)
+
+    def _in_planning_frame(self, points: Float32, header: object, timeout_s: float, should_stop: Callable[[], bool]) -> Float32:
+        frame = header.frame_id.strip().lstrip("/")  # type: ignore[attr-defined]
+        if frame == self._planning_frame or not len(points):
+            return points
+        T = self._frames.lookup(self._planning_frame, frame, header.stamp, timeout_s, should_stop)  # type: ignore[attr-defined]
+        with np.errstate(invalid="ignore", over="ignore"):
+            return (points @ T[:3, :3].T.astype(np.float32) + T[:3, 3].astype(np.float32)).astype(np.float32)
+
+
+def _ask(should_stop: Callable[[], bool]) -> None:
+    if should_stop():
+        raise Refusal(Status.CANCELLED, "the request was stopped")
+
+
+def _refuse_emptiness(names: Iterable[str], scene: Scene, node: NodeSettings) -> None:
+    # Fruit does not count: the lime to be picked is in view whatever the segmentation made of the stems, and is spared as the target.
+    if len(scene.stem_points) or node.allow_empty_stem_cloud:
+        return
+    received, gone = scene.counts.get("received", 0), scene.counts.get("non_finite", 0)
+    sentence = f"no stem point among the {received} points of {' and '.join(names) or 'no cloud'} ({gone} not finite)"
+    raise Refusal(Status.NO_CLOUD, f"{sentence}; allow_empty_stem_cloud permits motion without")

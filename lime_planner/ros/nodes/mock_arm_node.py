@@ -1,0 +1,137 @@
+"""The node `mock_arm`: an arm without an arm, for demos and tests. It plays `joint_trajectory` and publishes `joint_states`."""
+
+from __future__ import annotations
+
+import array
+import time
+from typing import Any
+
+import numpy as np
+from rcl_interfaces.msg import SetParametersResult
+from rclpy.duration import Duration
+from rclpy.node import Node
+from rclpy.parameter import Parameter as RosParameter
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.time import Time
+from sensor_msgs.msg import JointState
+from trajectory_msgs.msg import JointTrajectory
+
+from lime_planner.core.errors import ParameterError
+from lime_planner.motion.controllers.command import Command
+from lime_planner.motion.controllers.replay import TICK_S
+from lime_planner.motion.controllers.simulated_arm import SimulatedArm
+from lime_planner.robot.builtin import BUILTIN_ARMS
+from lime_planner.ros.nodes.mock_arm_parameters import MockArmParameters
+from lime_planner.ros.qos import COMMAND
+from lime_planner.ros.runtime import run_node
+
+#: Reliable, which suits reliable and best-effort subscribers.
+_STATES = QoSProfile(
+    history=HistoryPolicy.KEEP_LAST, depth=10, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.VOLATILE
+)
+_RATES_HZ = {"jtc": 50.0, "kinova": 10.0}
+_LONGEST_STEP_S = 1.0  # a machine that slept does not make the arm race
+
+
+class MockArmNode(Node):
+    """Wiring between messages and a `SimulatedArm`."""
+
+    def __init__(self) -> None:
+        """Stand at the starting configuration.
+
+        Raises:
+            ParameterError: a parameter that cannot be used.
+        """
+        super().__init__("mock_arm")
+        self._table = MockArmParameters(self)
+        names, fingers, start, continuous = self._arm()
+        controller = self._table["controller"]
+        rng = np.random.default_rng(self._table["seed"])
+        self._sim = SimulatedArm(
+            names, start, rng=rng, controller=controller, finger_joints=fingers, continuous=continuous, faults=self._table.faults()
+        )
+        self.add_on_set_parameters_callback(self._check_faults)
+        self.add_post_set_parameters_callback(self._take_faults)
+        self._publisher = self.create_publisher(JointState, "joint_states", _STATES)
+        self.create_subscription(JointTrajectory, "joint_trajectory", self._take_command, COMMAND)
+        rate_hz = self._table["rate_hz"] or _RATES_HZ[controller]
+        self._last_s = time.monotonic()
+        self.create_timer(TICK_S, self._advance)
+        self.create_timer(1.0 / rate_hz, self._publish)
+        self.get_logger().info(f"mock arm of {len(names)} joints, controller {controller}, joint_states at {rate_hz:g} Hz")
+
+    def _arm(self) -> tuple[tuple[str, ...], tuple[str, ...], list[float], Any]:
+        """Return joint names, finger joints, starting configuration and which joints are continuous (None for all)."""
+        robot, names, start = self._table["robot"], tuple(self._table["arm_joints"]), self._table["start"]
+        fingers: tuple[str, ...] = ()
+        continuous = None
+        ready: list[float] = []
+        if robot in BUILTIN_ARMS:
+            arm = BUILTIN_ARMS[robot]
+            names = names or arm.joint_names
+            # j2n6s300: the digit after the s is the number of fingers.
+            fingers = tuple(f"{arm.prefix}_joint_finger_{i + 1}" for i in range(int(arm.prefix[5])))
+            ready = list(arm.home)
+        elif not names:
+            if robot == "topic":
+                raise ParameterError("robot is 'topic': the mock arm needs arm_joints then")
+            from lime_planner.robot.model import home, load_robot  # Pinocchio: only where it is needed
+
+            model = load_robot(robot)
+            names, continuous, ready = model.joint_names, model.continuous, [float(angle) for angle in home(model)]
+        return names, fingers, start or (ready if len(ready) == len(names) else [0.0] * len(names)), continuous
+
+    def _take_command(self, msg: JointTrajectory) -> None:
+        stamp = msg.header.stamp
+        start_s = None
+        if stamp.sec or stamp.nanosec:
+            start_s = (Time.from_msg(stamp, clock_type=self.get_clock().clock_type) - self.get_clock().now()).nanoseconds * 1e-9
+        times_s = tuple(point.time_from_start.sec + 1e-9 * point.time_from_start.nanosec for point in msg.points)
+        positions, velocities, accelerations = (
+            tuple(tuple(getattr(point, what)) for point in msg.points) for what in ("positions", "velocities", "accelerations")
+        )
+        self._advance()
+        verdict = self._sim.command(Command(tuple(msg.joint_names), times_s, positions, velocities, accelerations, start_s))
+        if not verdict.accepted:
+            self.get_logger().error(f"joint_trajectory {verdict.sentence}")
+            return
+        self.get_logger().info(f"joint_trajectory accepted: {len(times_s)} points, {times_s[-1]:.3f} s")
+        if verdict.sentence:
+            self.get_logger().warning(f"joint_trajectory: {verdict.sentence}")
+
+    def _advance(self) -> None:
+        now_s = time.monotonic()
+        self._sim.step(min(now_s - self._last_s, _LONGEST_STEP_S))
+        self._last_s = now_s
+
+    def _publish(self) -> None:
+        self._advance()
+        reading = self._sim.state()
+        if reading is None:
+            return
+        msg = JointState()
+        msg.header.stamp = (self.get_clock().now() - Duration(nanoseconds=round(reading.age_s * 1e9))).to_msg()
+        msg.name = list(reading.joint_names)
+        msg.position = array.array("d", reading.positions.tobytes())
+        msg.velocity = array.array("d", reading.velocities.tobytes())
+        self._publisher.publish(msg)
+
+    def _check_faults(self, changed: list[RosParameter]) -> SetParametersResult:
+        try:
+            faults = self._table.faults({parameter.name: parameter.value for parameter in changed})
+            self._sim.check(faults)
+        except ParameterError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        return SetParametersResult(successful=True)
+
+    def _take_faults(self, _changed: list[RosParameter]) -> None:
+        self._sim.faults = self._table.faults()
+
+
+def main() -> int:
+    """Run the node."""
+    return run_node(MockArmNode)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

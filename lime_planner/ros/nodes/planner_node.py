@@ -1,0 +1,292 @@
+"""The planner as a ROS 2 node: topics, services and timers, wired to the parts that do the work.
+
+Threads: the executor's (callbacks, all short), the worker's (one request at a time), the engine's (loading and compiling) and
+the stem watch's. Services are coroutines: they hand a request to the worker and wait for its answer without holding the executor.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import traceback
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import rclpy
+from builtin_interfaces.msg import Time
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PoseStamped
+from nav_msgs.msg import Path
+from rclpy.clock import Clock, ClockType
+from rclpy.duration import Duration
+from rclpy.node import Node
+from sensor_msgs.msg import JointState, PointCloud2
+from std_msgs.msg import String
+from trajectory_msgs.msg import JointTrajectory
+from visualization_msgs.msg import MarkerArray
+
+from lime_planner.collision.arm_filter_live import make_arm_filter
+from lime_planner.core.errors import LimePlannerError
+from lime_planner.core.refusal import Refusal
+from lime_planner.core.status import Status
+from lime_planner.ros import qos
+from lime_planner.ros.convert import to_joint_trajectory, to_path
+from lime_planner.ros.display.marker_publisher import MarkerDesk
+from lime_planner.ros.display.viewer_backend import Viewer, serve_page
+from lime_planner.ros.execution.execution import Execution
+from lime_planner.ros.execution.motion import Ended
+from lime_planner.ros.execution.stem_watch import StemWatch, make_look
+from lime_planner.ros.execution.stopping import make_stop
+from lime_planner.ros.inputs.frames import make_frames
+from lime_planner.ros.inputs.latest import CLOUDS, Inputs
+from lime_planner.ros.inputs.scene_source import SceneSource
+from lime_planner.ros.memory import give_back
+from lime_planner.ros.model_loader import FROM_TOPIC, Builder, Engine, Loaded, build
+from lime_planner.ros.parameters import NodeParameters, Snapshot
+from lime_planner.ros.requests.jobs import Requests, Shown
+from lime_planner.ros.requests.services import Services
+from lime_planner.ros.requests.status import Phase, health_message
+from lime_planner.ros.requests.status_board import Board
+from lime_planner.ros.requests.worker import Answer, Ticket, Worker
+from lime_planner.ros.runtime import run_node
+from lime_planner.ros.throttle import Throttle
+
+#: Python hands the interpreter from one thread to another this often [s]: callbacks wait less for the worker's Python.
+_SWITCH_INTERVAL_S = 0.0003
+_WATCH_PERIOD_S = 0.02
+_OFFERS_PERIOD_S = 0.5
+_WARNING_PERIOD_S = 5.0
+
+
+class PlannerNode(Node):
+    """The node `lime_planner`."""
+
+    def __init__(self, builder: Builder = build, **options: Any) -> None:
+        """Declare parameters, open topics and services, start the threads.
+
+        Args:
+            builder: makes robot and pipeline; tests put their own here.
+            **options: of `rclpy.node.Node`: its context, parameter overrides.
+
+        Raises:
+            ParameterError: a parameter given at start is not allowed.
+        """
+        super().__init__("lime_planner", **options)
+        self.threads_ended = False
+        self.viewer: Viewer | None = None
+        self.params = NodeParameters(self)
+        settings = self.params.snapshot
+        self._warn = Throttle(self.get_logger().warning, _WARNING_PERIOD_S)
+        self.inputs = Inputs(self._ros_now_s, self._warn)
+        self.frames = make_frames(self, settings.node.static_transforms)
+        self.get_logger().info(f"frames from {self.frames.source}")
+        self.source = SceneSource(self.inputs, self.frames, "", lambda scene, _q, _padding: scene)
+        self._open_outputs()
+        self.board = Board(self.get_name(), self._now, self._status.publish)
+        self.execution = Execution(
+            self.inputs.joints,
+            to_joint_trajectory,
+            self._command.publish,
+            self._command.get_subscription_count,
+            lambda motion, state, on_path: make_stop(self._robot(), motion, state, on_path),
+            lambda motion: self.board.show(motion.plan_id, Phase.STOPPING),
+            self._on_end,
+            lambda: self.params.snapshot.node.motion_enabled,
+            self._simulated_s,
+        )
+        self.worker = Worker(self.get_logger().error, give_back)
+        self.engine = Engine(
+            builder,
+            settings.plan,
+            may_exchange=lambda: not self.execution.active,
+            on_loaded=self._on_loaded,
+            report=self._log,
+        )
+        self.requests = Requests(
+            self.engine,
+            lambda: self.params.snapshot,
+            self.inputs,
+            self.frames,
+            lambda: self.source,
+            self.execution,
+            self.board,
+            self._show,
+            lambda: self.watch.notice(),
+        )
+        self.markers = MarkerDesk(self._markers, lambda: self.engine.loaded, lambda: self.worker.current is not None, self._now, self._warn)
+        self.params.on_change = self._on_parameters
+        self.watch = StemWatch(
+            self.execution, make_look(lambda: self.source, lambda: self.engine.loaded, self.execution.reached_s), self._warn
+        )
+        self._open_inputs(settings.plan.robot)
+        self.desk = Services(self, self.worker, self.requests, self.execution, self.board, self._robot, self._log)
+        steady = Clock(clock_type=ClockType.STEADY_TIME)  # the watch goes on where simulated time stands still
+        self.create_timer(_WATCH_PERIOD_S, self._safely(self.execution.tick), clock=steady)
+        self.create_timer(_OFFERS_PERIOD_S, self._safely(self._check_offers), clock=steady)
+        self.create_timer(1.0, self._safely(self._publish_health), clock=steady)
+        self.viewer = serve_page(self)
+        motion = "enabled" if settings.node.motion_enabled else "disabled"
+        self.get_logger().info(f"serving; motion is {motion}, robot {settings.plan.robot}")
+
+    def shut_down(self) -> None:
+        """Stop a motion, answer everyone and end the threads."""
+        moving = self.execution.stop(Status.CANCELLED, "the planner node shuts down")
+        self.worker.refuse()
+        # A request that passed its point of no return in between has sent its motion by now, or holds the lock to do so.
+        if self.execution.stop(Status.CANCELLED, "the planner node shuts down") or moving:
+            self._command.wait_for_all_acked(Duration(seconds=0.2))
+        if self.viewer is not None:
+            self.viewer.page.close()
+        ended = [self.worker.close(), self.watch.close(), self.markers.close(), self.engine.close(0.5)]
+        self.desk.drain(0.5)
+        self.threads_ended = all(ended)
+
+    def _open_outputs(self) -> None:
+        self._command = self.create_publisher(JointTrajectory, "joint_trajectory", qos.COMMAND)
+        self._status = self.create_publisher(DiagnosticArray, "~/status", qos.STATUS)
+        self._target = self.create_publisher(PoseStamped, "~/target", qos.LATCHED)
+        self._tool_path = self.create_publisher(Path, "~/tool_path", qos.LATCHED)
+        self._markers = self.create_publisher(MarkerArray, "~/markers", qos.LATCHED)
+        self._health = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+
+    def _open_inputs(self, robot: str) -> None:
+        self._subscriptions_by_offer = [
+            qos.AdaptiveSubscription(self, PointCloud2, name, qos.NEWEST, self._safely(partial(self._on_cloud, name))) for name in CLOUDS
+        ]
+        self._subscriptions_by_offer.append(
+            qos.AdaptiveSubscription(self, PoseStamped, "grasp_target", qos.NEWEST, self._safely(self._on_target))
+        )
+        self.create_subscription(JointState, "joint_states", self._safely(self._on_joint_state), qos.JOINT_STATES)
+        if robot == FROM_TOPIC:
+            self.create_subscription(String, "robot_description", self._safely(lambda msg: self.engine.offer(msg.data)), qos.LATCHED)
+
+    def _on_end(self, ended: Ended) -> None:
+        motion = ended.motion
+        message = ended.status.message(ended.sentence)
+        self.board.show(motion.plan_id, Phase.DONE, execution_code=ended.status.name, execution_message=message)
+        self.get_logger().info(f"motion of plan {motion.plan_id}: {message}")
+        if self.viewer is not None:
+            self.viewer.backend.on_end(message)
+        aborted = ended.status in (Status.EXECUTION_DEVIATED, Status.STEM_APPEARED)
+        if aborted and motion.replans_left > 0 and not self.worker.busy:
+
+            def replan(ticket: Ticket) -> Answer:
+                if self.execution.cancels != ended.cancels:
+                    raise Refusal(Status.CANCELLED, "the arm was stopped before the motion could be planned again")
+                return self.requests.plan(ticket)
+
+            self.worker.submit("replan", replan, self.desk.finish, {**motion.context, "replans_left": motion.replans_left - 1})
+
+    def _on_parameters(self, snapshot: Snapshot) -> None:
+        if not snapshot.node.motion_enabled:  # whoever forbids motions means the one that runs too
+            self.execution.stop(Status.CANCELLED, "motion_enabled was set to false")
+
+    def _on_loaded(self, loaded: Loaded) -> None:
+        robot = loaded.robot
+        self.board.robot = robot.name
+        self.inputs.set_joints(tuple(robot.joint_names), robot.held_joints)
+        self.execution.forget_last()
+        self.source = SceneSource(self.inputs, self.frames, robot.planning_frame, make_arm_filter(robot))
+
+    def _on_cloud(self, name: str, msg: PointCloud2) -> None:
+        self.inputs.on_cloud(name, msg)
+        if name != "leaf_cloud":
+            self.watch.notice()
+
+    def _on_target(self, msg: PoseStamped) -> None:
+        if self.inputs.on_target(msg):
+            self._target.publish(msg)
+
+    def _on_joint_state(self, msg: JointState) -> None:
+        state = self.inputs.on_joint_state(msg)
+        if state is not None:
+            self.execution.on_state(state)
+
+    def _show(self, shown: Shown) -> None:
+        if self.viewer is not None:
+            self.viewer.backend.on_shown(shown)
+        stamp = self._now()
+        self._tool_path.publish(to_path(shown.result.tool_path, shown.scene.frame_id, stamp))
+        self.markers.show(shown)
+
+    def _check_offers(self) -> None:
+        for subscription in self._subscriptions_by_offer:
+            subscription.check()
+        self.markers.check()
+
+    def _publish_health(self) -> None:
+        ticket, motion = self.worker.current, self.execution.motion
+        values = {
+            **self.inputs.figures(),
+            **{f"{subscription.topic}.lost": subscription.lost for subscription in self._subscriptions_by_offer},
+            "last_status": self.board.last_message,
+            "phase": self.board.phase.name,
+            "worker": f"{ticket.kind} {ticket.plan_id}" if ticket is not None else "idle",
+            "engine": self.engine.state,
+            "motion": f"plan {motion.plan_id}" if motion is not None else "none",
+            "motion_enabled": self.params.snapshot.node.motion_enabled,
+            "controllers": self._command.get_subscription_count(),
+        }
+        trouble = "; ".join(
+            [*([] if self.engine.ready else [self.engine.state]), *self.inputs.trouble(self.params.snapshot.node.max_joint_state_age_s)]
+        )
+        self._health.publish(health_message(self._now(), self.get_name(), self.board.robot, trouble, values))
+
+    def _robot(self) -> Any:
+        loaded = self.engine.loaded
+        return None if loaded is None else loaded.robot
+
+    def _now(self) -> Time:
+        return self.get_clock().now().to_msg()
+
+    def _simulated_s(self) -> float | None:
+        return self._ros_now_s() if self.get_clock().ros_time_is_active else None
+
+    def _ros_now_s(self) -> float:
+        return float(self.get_clock().now().nanoseconds) * 1e-9
+
+    def _log(self, error: bool, sentence: str) -> None:
+        if error:  # two calls: rclpy holds one place in the source to one severity
+            self.get_logger().error(sentence)
+        else:
+            self.get_logger().info(sentence)
+
+    def _safely(self, callback: Callable[..., Any]) -> Callable[..., None]:
+        """Wrap a callback: a defect in one message's handling is logged, and the node goes on serving."""
+
+        def guarded(*arguments: Any) -> None:
+            try:
+                callback(*arguments)
+            except Exception:
+                self.get_logger().error(traceback.format_exc())
+
+        return guarded
+
+
+def main() -> int:
+    """Run the node until a signal; the program `planner_node`."""
+    sys.setswitchinterval(_SWITCH_INTERVAL_S)
+
+    nodes: list[PlannerNode] = []
+
+    def factory() -> PlannerNode:
+        try:
+            nodes.append(PlannerNode())
+            return nodes[0]
+        except LimePlannerError as error:
+            rclpy.try_shutdown()
+            print(f"planner_node: {error}", file=sys.stderr)
+            raise SystemExit(2) from None
+
+    code = run_node(factory)
+    if nodes and not nodes[0].threads_ended:
+        # A compilation cannot be interrupted, and the interpreter must not be taken down under it.
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(code)
+    return code
+
+
+if __name__ == "__main__":
+    sys.exit(main())

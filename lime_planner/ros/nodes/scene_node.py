@@ -1,0 +1,187 @@
+"""Publishes a scene from a file or from the plant generator, in place of cameras: clouds and a grasp target."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import rclpy
+from geometry_msgs.msg import PoseStamped
+from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import PointCloud2
+
+from lime_planner.core.errors import LimePlannerError, ParameterError
+from lime_planner.core.geometry import matrix_to_pose, pose_to_matrix
+from lime_planner.ros import qos
+from lime_planner.ros.convert import to_pose
+from lime_planner.ros.inputs.clouds import encode_cloud
+from lime_planner.ros.runtime import run_node
+from lime_planner.scene.files import labelled_points, load_scene
+from lime_planner.scene.plants.generator import DENSITIES, PlantOptions, generate_plant
+from lime_planner.scene.plants.grasp_targets import canopy_targets
+from lime_planner.scene.scene import Scene
+
+#: Name, default, meaning.
+_PARAMETERS: tuple[tuple[str, Any, str], ...] = (
+    ("file", "", "Scene file (.npz, .ply, .pcd); empty: grow a plant."),
+    ("label_field", "label", "Name of the label in PLY and PCD files."),
+    ("scale", 1.0, "Metres for each unit of the file."),
+    ("offset", [0.0, 0.0, 0.0], "Then move the scene by this x y z [m]."),
+    ("seed", 7, "Seed of the plant, and of the target where the file has none."),
+    ("density", "medium", f"Foliage of the plant: one of {', '.join(DENSITIES)}."),
+    ("target", [], "Grasp pose x y z qx qy qz qw; empty: the scene's own, or a drawn one."),
+    ("labelled", False, "Publish `labelled_cloud` instead of `leaf_cloud` and `stem_cloud`."),
+    ("rate_hz", 0.0, "Publish the clouds again this often with a new stamp; 0: once, for everyone who comes."),
+    ("reliable", True, "Publish the clouds reliably and latched; false: best effort, as many camera drivers do."),
+)
+_TARGET_FRUIT_RADIUS_M = 0.06
+
+
+@dataclass(frozen=True)
+class _Published:
+    """A scene and the target that goes with it."""
+
+    scene: Scene
+    target: npt.NDArray[np.float64] | None
+
+
+def make_scene(values: Mapping[str, Any]) -> _Published:
+    """Load or grow the scene of some parameter values.
+
+    Raises:
+        LimePlannerError: the file cannot be used, or a value is out of range.
+    """
+    rng = np.random.default_rng(int(values["seed"]))
+    offset = [float(v) for v in values["offset"]]
+    if len(offset) != 3:
+        raise ParameterError(f"offset needs 3 numbers, got {len(offset)}")
+    if not 0.0 <= float(values["rate_hz"]) <= 100.0:
+        raise ParameterError(f"rate_hz is {values['rate_hz']}; allowed: 0 to 100 Hz")
+    if values["file"]:
+        scene = load_scene(values["file"], scale=float(values["scale"]), offset=offset, label_field=str(values["label_field"]))
+    else:
+        scene = generate_plant(rng, PlantOptions(density=str(values["density"]))).placed(float(values["scale"]), offset)
+    given = [float(v) for v in values["target"]]
+    if given:
+        return _Published(scene, matrix_to_pose(pose_to_matrix(given)))
+    if scene.target_pose is not None:
+        return _Published(scene, scene.target_pose)
+    drawn = canopy_targets(scene, rng, 1) if len(scene.leaf_points) else []
+    return _Published(scene, drawn[0] if drawn else None)
+
+
+class SceneNode(Node):
+    """The node `scene`."""
+
+    def __init__(self) -> None:
+        """Publish the scene of the parameters.
+
+        Raises:
+            LimePlannerError: see `make_scene`.
+        """
+        super().__init__("scene")
+        for name, default, description in _PARAMETERS:
+            self.declare_parameter(name, default, ParameterDescriptor(description=description, dynamic_typing=True))
+        self._published = make_scene(self._values())
+        reliable = bool(self.get_parameter("reliable").value)
+        profile = qos.LATCHED if reliable else _best_effort()
+        self._clouds = {
+            name: self.create_publisher(PointCloud2, name, profile)
+            for name in (("labelled_cloud",) if self.get_parameter("labelled").value else ("leaf_cloud", "stem_cloud"))
+        }
+        self._target = self.create_publisher(PoseStamped, "grasp_target", qos.LATCHED)
+        self._pending: _Published | None = None
+        self.add_on_set_parameters_callback(self._check)
+        self.add_post_set_parameters_callback(self._apply)
+        self._timer: Any = None
+        self._set_rate()
+        self._publish_all()
+
+    def _values(self, changed: Sequence[Parameter] = ()) -> dict[str, Any]:
+        values = {name: self.get_parameter(name).value for name, _, _ in _PARAMETERS}
+        values.update({parameter.name: parameter.value for parameter in changed if parameter.name in values})
+        return values
+
+    def _check(self, changed: Sequence[Parameter]) -> SetParametersResult:
+        names = {parameter.name for parameter in changed}
+        if names & {"labelled", "reliable"}:
+            return SetParametersResult(successful=False, reason="labelled and reliable can be set at start only")
+        if not names & {name for name, _, _ in _PARAMETERS}:
+            return SetParametersResult(successful=True)
+        try:
+            self._pending = make_scene(self._values(changed))
+        except (LimePlannerError, TypeError, ValueError, OverflowError) as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        return SetParametersResult(successful=True)
+
+    def _apply(self, changed: Sequence[Parameter]) -> None:
+        if self._pending is not None:
+            self._published, self._pending = self._pending, None
+            self._set_rate()
+            self._publish_all()
+
+    def _set_rate(self) -> None:
+        if self._timer is not None:
+            self.destroy_timer(self._timer)
+            self._timer = None
+        rate_hz = float(self.get_parameter("rate_hz").value)
+        if rate_hz > 0.0:
+            self._timer = self.create_timer(1.0 / rate_hz, self._publish_clouds)
+
+    def _publish_all(self) -> None:
+        self._publish_clouds()
+        scene, target = self._published.scene, self._published.target
+        if target is not None:
+            msg = PoseStamped(pose=to_pose(target))
+            msg.header.frame_id, msg.header.stamp = scene.frame_id, self.get_clock().now().to_msg()
+            self._target.publish(msg)
+        where = "no target" if target is None else f"target at {target[0]:.3f} {target[1]:.3f} {target[2]:.3f}"
+        leaves, stems, fruit = len(scene.leaf_points), len(scene.stem_points), len(scene.fruit_points)
+        self.get_logger().info(f"publishing {leaves} leaf, {stems} stem and {fruit} fruit points in {scene.frame_id}, {where}")
+
+    def _publish_clouds(self) -> None:
+        stamp = self.get_clock().now().to_msg()
+        scene = self._published.scene
+        for name, publisher in self._clouds.items():
+            msg = self._cloud(name)
+            msg.header.frame_id, msg.header.stamp = scene.frame_id, stamp
+            publisher.publish(msg)
+
+    def _cloud(self, name: str) -> PointCloud2:
+        scene, target = self._published.scene, self._published.target
+        if name == "labelled_cloud":
+            points, labels, costs = labelled_points(scene)
+            return encode_cloud(points, {"label": labels, "permeability_cost": costs})
+        if name == "leaf_cloud":
+            return encode_cloud(scene.leaf_points, {"permeability_cost": scene.leaf_costs})
+        position = None if target is None else target[:3]
+        return encode_cloud(scene.impermeable_points(position, _TARGET_FRUIT_RADIUS_M))
+
+
+def _best_effort() -> QoSProfile:
+    return QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT, durability=DurabilityPolicy.VOLATILE)
+
+
+def main() -> int:
+    """Run the node until a signal; the program `scene_node`. A scene that cannot be used ends it with code 2 and a sentence."""
+
+    def factory() -> SceneNode:
+        try:
+            return SceneNode()
+        except LimePlannerError as error:
+            rclpy.try_shutdown()
+            print(f"scene_node: {error}", file=sys.stderr)
+            raise SystemExit(2) from None
+
+    return run_node(factory)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,150 @@
+"""The node's services: coroutines that hand a request to the worker and wait for its answer without holding the executor."""
+
+from __future__ import annotations
+
+import time
+import traceback
+from collections.abc import Callable, Mapping
+from functools import partial
+from typing import Any
+
+from nav_msgs.srv import GetPlan
+from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.node import Node
+from rclpy.task import Future
+from std_srvs.srv import Trigger
+
+from lime_planner.core.status import Status
+from lime_planner.ros import qos
+from lime_planner.ros.convert import to_path
+from lime_planner.ros.execution.execution import Execution
+from lime_planner.ros.parameters import Snapshot
+from lime_planner.ros.requests.jobs import Requests
+from lime_planner.ros.requests.request_text import about, answer_message, log_line, target_values
+from lime_planner.ros.requests.status import Phase
+from lime_planner.ros.requests.status_board import Board
+from lime_planner.ros.requests.worker import Answer, Ticket, Worker
+
+#: From a coroutine's end to its response on the wire [s], generously.
+_LEAVING_S = 0.03
+
+
+class Services:
+    """`~/plan`, `~/preview`, `~/preview_to`, `~/execute`, `~/retreat` and `~/stop`."""
+
+    def __init__(
+        self,
+        node: Node,
+        worker: Worker,
+        requests: Requests,
+        execution: Execution,
+        board: Board,
+        robot: Callable[[], Any],
+        log: Callable[[bool, str], None],
+    ) -> None:
+        """Open the services.
+
+        Args:
+            node: serves them.
+            worker: does the work.
+            requests: what each request does.
+            execution: the running motion.
+            board: the status.
+            robot: the model in use, or None.
+            log: log: (whether it is an error, sentence).
+        """
+        self._node = node
+        self._worker = worker
+        self._requests = requests
+        self._execution = execution
+        self._board = board
+        self._robot = robot
+        self._log = log
+        self._waiting = 0
+        # Reentrant: an unanswered request must not hold back the next one.
+        options = {"qos_profile": qos.SERVICE, "callback_group": ReentrantCallbackGroup()}
+        for name in ("plan", "preview", "execute", "retreat"):
+            node.create_service(Trigger, f"~/{name}", partial(self._trigger, name, getattr(requests, name)), **options)
+        node.create_service(GetPlan, "~/preview_to", self._preview_to, **options)
+        node.create_service(Trigger, "~/stop", self._stop, **options)
+
+    def finish(self, ticket: Ticket, answer: Answer) -> None:
+        """Put a request's end into status and log; from whichever thread answers."""
+        try:
+            motion = self._execution.motion
+            own = motion is not None and motion.plan_id == ticket.plan_id
+            phase, message = Phase.EXECUTING if own else Phase.DONE, answer_message(ticket, answer)
+            self._board.show(ticket.plan_id, phase, answer.status, message, **target_values(ticket.context))
+            if motion is not None and not own:
+                self._board.show(motion.plan_id, Phase.EXECUTING)  # the newest status tells what the arm does
+            self._log(answer.status is Status.INTERNAL_ERROR, log_line(ticket, answer))
+        except Exception:  # the answer itself must get through
+            self._log(True, traceback.format_exc())
+
+    async def _trigger(self, kind: str, job: Callable[[Ticket], Answer], _request: Any, response: Any) -> Any:
+        ticket, answer = await self._ask(kind, job, self._requests.aim(kind))
+        response.success = bool(answer.status is Status.SUCCEEDED)
+        response.message = answer_message(ticket, answer)
+        return response
+
+    async def _preview_to(self, request: Any, response: Any) -> Any:
+        job = partial(self._requests.preview_to, goal=request.goal)
+        _, answer = await self._ask("preview_to", job, self._requests.aim("preview_to", request.goal))
+        poses = answer.payload if answer.status is Status.SUCCEEDED else []
+        robot = self._robot()
+        response.plan = to_path(poses, robot.planning_frame if robot is not None else "", self._node.get_clock().now().to_msg())
+        return response
+
+    async def _ask(self, kind: str, job: Callable[[Ticket], Answer], context: Mapping[str, Any]) -> tuple[Ticket, Answer]:
+        future = Future()
+
+        def on_answer(ticket: Ticket, answer: Answer) -> None:
+            self.finish(ticket, answer)
+            future.set_result((ticket, answer))
+            executor = self._node.executor
+            if executor is not None:
+                executor.wake()  # it looks at waiting coroutines whenever it wakes
+
+        self._waiting += 1
+        try:
+            self._worker.submit(kind, job, on_answer, context)
+            result: tuple[Ticket, Answer] = await future
+        finally:
+            self._waiting -= 1
+        return result
+
+    def drain(self, timeout_s: float) -> None:
+        """Give answers that are made the time to leave, while the executor still spins."""
+        deadline = time.monotonic() + timeout_s
+        while self._waiting and time.monotonic() < deadline:
+            time.sleep(0.005)
+        time.sleep(_LEAVING_S)
+
+    def _stop(self, _request: Any, response: Any) -> Any:
+        """Stop and cancel; the hold is sent from here, in the executor's thread, whatever the worker is doing."""
+        try:
+            response.success, response.message = True, Status.SUCCEEDED.message(self.stop_everything())
+        except Exception as error:
+            self._log(True, traceback.format_exc())
+            response.success, response.message = False, Status.INTERNAL_ERROR.message(f"{type(error).__name__}: {error}")
+        return response
+
+    def stop_everything(self) -> str:
+        """Stop a motion and cancel every request; from any thread. What was stopped, in words."""
+        snapshot: Snapshot = self._requests.snapshot()
+        moving = self._execution.stop(Status.CANCELLED, "stopped by ~/stop")
+        foreign = "" if moving else self._execution.hold_foreign_motion(snapshot)
+        cancelled = self._worker.cancel("stopped by ~/stop")
+        # A request that had committed before it could be cancelled has sent its motion by now, or holds the lock to do so.
+        moving = self._execution.stop(Status.CANCELLED, "stopped by ~/stop") or moving
+        words = "the motion is being stopped" if moving else foreign or "no motion was running"
+        sentence = f"{words}; {cancelled} request(s) cancelled {self._about_the_stopped()}"
+        self._log(False, f"stop: {Status.SUCCEEDED.message(sentence)}")
+        return sentence
+
+    def _about_the_stopped(self) -> str:
+        """Name the motion that is being stopped, else the newest request."""
+        motion, ticket = self._execution.ending, self._worker.newest
+        if motion is not None:
+            return about(motion.plan_id, motion.context)
+        return about(0, {}) if ticket is None else about(ticket.plan_id, ticket.context)

@@ -1,0 +1,124 @@
+"""Records what the planner would see and where the arm is: one scene and one start, from live topics."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from lime_planner.collision.arm_filter_live import make_arm_filter
+from lime_planner.core.geometry import matrix_to_pose
+from lime_planner.core.refusal import Refusal
+from lime_planner.robot.model import Robot
+from lime_planner.ros.inputs.latest import CLOUDS
+from lime_planner.ros.inputs.scene_source import SceneSource
+from lime_planner.ros.parameters import Snapshot
+from lime_planner.ros.tools.listener import Listener
+from lime_planner.scene.files import Start
+from lime_planner.scene.scene import Scene
+
+_POLL_S = 0.1
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """What was heard.
+
+    Attributes:
+        scene: clouds as the planner uses them, without the arm; with the target where there was one.
+        start: the arm's configuration; None where it was not heard.
+        heard: one sentence for each input that was used.
+        missing: one sentence for each that was not.
+    """
+
+    scene: Scene
+    start: Start | None
+    heard: tuple[str, ...]
+    missing: tuple[str, ...]
+
+
+def record(listener: Listener, snapshot: Snapshot, robot: Robot, *, wait_s: float, partial: bool, say: Callable[[str], None]) -> Recorded:
+    """Wait until clouds, target and joint states are there, and take them.
+
+    Args:
+        listener: has just been made.
+        snapshot: the planner's parameters: labels, age limits, padding.
+        robot: the arm; its own points are removed from the clouds.
+        wait_s: how long to wait at most.
+        partial: do without a target and without joint states where they do not come.
+        say: is told what is still waited for.
+
+    Raises:
+        Refusal: what is needed did not come in time, or cannot be used.
+    """
+
+    def complete() -> bool:
+        waiting = _waiting(listener)
+        say("listening" if not waiting else f"waiting for {' and '.join(waiting)}")
+        return not waiting
+
+    listener.wait(complete, wait_s, poll_s=_POLL_S)
+    inputs, node = listener.inputs, snapshot.node
+    heard: list[str] = []
+    missing: list[str] = []
+    source = SceneSource(inputs, listener.frames, robot.planning_frame, make_arm_filter(robot))
+    try:
+        scene = source.scene(snapshot, lambda: False)
+    except Refusal as refusal:
+        raise Refusal(refusal.status, f"{refusal}{_silence(listener, wait_s)}") from None
+    heard += [f"{listener.topics[name]}: {_age(listener, name)}" for name in CLOUDS if inputs.slots[name].newest is not None]
+    start = None
+    try:
+        target = inputs.target(node.max_target_age_s, node.max_clock_skew_s)
+        scene = dataclasses.replace(
+            scene, target_pose=_in_planning_frame(listener, snapshot, robot, target.T_frame_tool, target.msg.header)
+        )
+        heard.append(f"{listener.topics['grasp_target']}: {_age(listener, 'grasp_target')}")
+    except Refusal as refusal:
+        missing.append(_told(refusal, partial, listener, wait_s))
+    try:
+        start = Start(tuple(robot.joint_names), inputs.joints.fresh(node.max_joint_state_age_s, node.max_clock_skew_s).q)
+        heard.append(f"{listener.topics['joint_states']}: {len(start.q)} joints")
+    except Refusal as refusal:
+        missing.append(_told(refusal, partial, listener, wait_s))
+    return Recorded(scene, start, tuple(heard), tuple(missing))
+
+
+def _told(refusal: Refusal, partial: bool, listener: Listener, wait_s: float) -> str:
+    sentence = f"{refusal}{_silence(listener, wait_s)}"
+    if not partial:
+        raise Refusal(refusal.status, f"{sentence} (--partial records without)") from None
+    return refusal.status.message(sentence)
+
+
+def _in_planning_frame(listener: Listener, snapshot: Snapshot, robot: Robot, T_frame_tool: np.ndarray, header: object) -> np.ndarray:
+    frame, stamp = header.frame_id.strip().lstrip("/"), header.stamp  # type: ignore[attr-defined]
+    if frame != robot.planning_frame:
+        T_frame_tool = listener.frames.lookup(robot.planning_frame, frame, stamp, snapshot.node.tf_timeout_s, lambda: False) @ T_frame_tool
+    return matrix_to_pose(T_frame_tool)
+
+
+def _waiting(listener: Listener) -> list[str]:
+    """Return the inputs that have not been heard: clouds of either kind, the target, the arm."""
+    slots = listener.inputs.slots
+    there: Mapping[str, bool] = {name: slots[name].newest is not None for name in (*CLOUDS, "grasp_target")}
+    waiting = []
+    if not there["labelled_cloud"]:
+        waiting = [name for name in ("leaf_cloud", "stem_cloud") if not there[name]]
+    if not there["grasp_target"]:
+        waiting.append("grasp_target")
+    if listener.inputs.joints.newest is None:
+        waiting.append("joint_states")
+    return waiting
+
+
+def _silence(listener: Listener, wait_s: float) -> str:
+    waiting = [listener.topics[name] for name in _waiting(listener)]
+    return f"; within {wait_s:g} s nothing came on {', '.join(waiting)}" if waiting else ""
+
+
+def _age(listener: Listener, name: str) -> str:
+    sample = listener.inputs.slots[name].newest
+    return "" if sample is None else f"message {sample.number}, {sample.age_s():.2f} s old"

@@ -1,0 +1,126 @@
+"""The command line: quick help, one-line errors, exit status."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from lime_planner.cli import main as cli
+from lime_planner.core.parameters import NODE_PARAMETERS, PARAMETERS
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def run(*arguments: str) -> int:
+    """Run in this process; argparse's exits become a status."""
+    try:
+        return cli.main(list(arguments))
+    except SystemExit as exit_:
+        return int(exit_.code or 0)
+
+
+def leaves() -> list[tuple[str, ...]]:
+    return [command.words for command in cli.COMMANDS if cli._exists(command) and not command.module.startswith("lime_planner.ros")]
+
+
+@pytest.mark.parametrize("words", [(), *leaves()], ids=" ".join)
+def test_help_teaches_within_80_columns(words: tuple[str, ...], capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(*words, "--help") == 0
+    text = capsys.readouterr().out
+    assert "example" in text
+    assert max(map(len, text.splitlines())) <= 80
+
+
+@pytest.mark.alone
+def test_help_is_quick_and_imports_nothing_heavy() -> None:
+    script = "import sys; from lime_planner.cli.main import main\ntry: main(['--help'])\nexcept SystemExit: pass\n"
+    script += "print(sorted({'numpy', 'numba', 'open3d', 'pinocchio', 'rclpy', 'rich', 'matplotlib'} & set(sys.modules)), file=sys.stderr)"
+    times = []
+    for _ in range(3):
+        began = time.monotonic()
+        done = subprocess.run([sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True, check=True)
+        times.append(time.monotonic() - began)
+        assert done.stderr.strip() == "[]"
+    assert min(times) < 0.5
+
+
+def test_module_is_the_command() -> None:
+    done = subprocess.run([sys.executable, "-m", "lime_planner", "--version"], cwd=ROOT, capture_output=True, text=True, check=True)
+    assert done.stdout.startswith("lime-planner ")
+
+
+def test_numbers_may_be_negative_powers() -> None:
+    parser = cli.build_parser(["plan"])
+    args = parser.parse_args(["plan", "x.npz", "--target", "0.5", "-1e-05", "-.3", "0", "-1", "0", "-2.5E-3", "--start", "-1", "2"])
+    assert args.target == [0.5, -1e-05, -0.3, 0.0, -1.0, 0.0, -0.0025]
+    assert args.start == [-1.0, 2.0]
+
+
+@pytest.mark.parametrize("assignment", ["stem_margin_m=-1", "no_such=1", "stem_margin_m", "motion_enabled=false"])
+def test_bad_parameters_are_one_line(assignment: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("plan", "x.npz", "--set", assignment) == 1
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.startswith("BAD_INPUT: ") and err.count("\n") == 1
+    assert assignment.partition("=")[0] in err
+
+
+def test_missing_scene(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    missing = tmp_path / "none.npz"
+    assert run("scene", "info", str(missing)) == 1
+    assert capsys.readouterr().err == f"BAD_INPUT: {missing}: there is no such file\n"
+
+
+def test_debug_prints_a_traceback(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    assert run("scene", "info", str(tmp_path / "none.npz"), "--debug") == 1
+    err = capsys.readouterr().err
+    assert "Traceback" in err and err.rstrip().endswith("there is no such file")
+
+
+def test_a_defect_is_one_line_too(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    from lime_planner.cli import scene as cli_scene_info
+
+    def broken(_: object) -> int:
+        raise ZeroDivisionError("a\nb")
+
+    monkeypatch.setattr(cli_scene_info, "run", broken)
+    assert run("scene", "info", "x.npz") == 1
+    assert capsys.readouterr().err == "INTERNAL_ERROR: ZeroDivisionError: a b (--debug prints where)\n"
+
+
+def test_a_missing_library_is_named_with_its_extra(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    from lime_planner.cli import scene as cli_scene_info
+
+    def needs_ros(_: object) -> int:
+        raise ModuleNotFoundError("No module named 'rclpy'", name="rclpy.node")
+
+    monkeypatch.setattr(cli_scene_info, "run", needs_ros)
+    assert run("scene", "info", "x.npz") == 1
+    assert capsys.readouterr().err == "INTERNAL_ERROR: the library 'rclpy' is not installed; pip install 'lime_planner[ros]' brings it\n"
+
+
+def test_wrong_usage_is_status_2(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("plan") == 2
+    assert run("plan", "x.npz", "--time", "1", "--iterations", "5") == 2
+    assert "not allowed with" in capsys.readouterr().err
+
+
+def test_plant_and_info(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "sub" / "plant.npz"
+    assert run("scene", "plant", "--seed", "3", "--density", "sparse", "--out", str(path)) == 0
+    assert run("scene", "info", str(path)) == 0
+    out = capsys.readouterr().out
+    assert "leaf" in out and "frame: base" in out
+    assert run("scene", "plant", "--height", "99", "--out", str(path)) == 1
+    assert "height_m: 99.0 is outside 0.2 to 5" in capsys.readouterr().err
+
+
+def test_parameters_lists_all(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("parameters", "--markdown") == 0
+    out = capsys.readouterr().out
+    assert all(f"`{name}`" in out for name in (*PARAMETERS, *NODE_PARAMETERS))
+    assert run("parameters", "no such thing") == 1

@@ -1,0 +1,83 @@
+"""An execution with everything around it played, for the tests of sending, watching and stopping."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from ros_fakes import START, FakeRobot, result
+
+from lime_planner.core.refusal import Refusal
+from lime_planner.core.status import Status
+from lime_planner.motion import stop as braking
+from lime_planner.motion.trajectory import Trajectory
+from lime_planner.ros.execution.execution import Execution
+from lime_planner.ros.execution.motion import Ended, Motion
+from lime_planner.ros.execution.stopping import make_stop
+from lime_planner.ros.inputs.joint_states import ArmState, JointHistory
+from lime_planner.ros.parameters import Snapshot, snapshot_from
+
+QUICK = {"stillness_time_s": 0.06, "goal_time_s": 0.3, "stillness_timeout_s": 0.5, "execution_lag_s": 0.1}
+
+
+class Rig:
+    """An execution with everything around it played."""
+
+    def __init__(self) -> None:
+        self.joints = JointHistory()
+        self.sent: list[Trajectory] = []
+        self.ended: list[Ended] = []
+        self.stopped: list[Motion] = []
+        self.subscribers = 1
+        self.allowed = True
+        self.simulated: Callable[[], float | None] = lambda: None
+        self.execution = Execution(
+            self.joints,
+            lambda trajectory: trajectory,
+            self.sent.append,
+            lambda: self.subscribers,
+            lambda motion, state, on_path: make_stop(FakeRobot(), motion, state, on_path),
+            self.stopped.append,
+            self.ended.append,
+            lambda: self.allowed,
+            lambda: self.simulated(),
+        )
+
+    def state(self, q: np.ndarray) -> None:
+        state = ArmState(np.array(q, dtype=float), time.monotonic(), 0.0, 0.0)
+        self.joints.add(state)
+        self.execution.on_state(state)
+        self.execution.tick()
+
+    def rest(self, q: np.ndarray, duration_s: float = 0.08) -> None:
+        self.play(lambda t: q, duration_s)
+
+    def play(self, q_of: Callable[[float], np.ndarray], duration_s: float) -> None:
+        began = time.monotonic()
+        while time.monotonic() - began < duration_s:
+            self.state(q_of(time.monotonic() - began))
+            time.sleep(0.005)
+
+    def send(self, duration_s: float = 0.3, commit: Callable[[], bool] = lambda: True, **settings: object) -> Motion | None:
+        plan = result(START, START + 0.2, duration_s)
+        return self.execution.send(7, plan, plan.trajectory, snapshot(**settings), commit)
+
+
+def snapshot(**settings: object) -> Snapshot:
+    return snapshot_from({**QUICK, **settings})
+
+
+def refusal_of(call: Callable[[], object]) -> tuple[Status, str]:
+    with pytest.raises(Refusal) as caught:
+        call()
+    return caught.value.status, str(caught.value)
+
+
+@pytest.fixture(name="rig")
+def rested() -> Rig:
+    braking.warm_up()  # as a node does: the first stop loads its kernels otherwise
+    made = Rig()
+    made.rest(START)
+    return made

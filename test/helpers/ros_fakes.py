@@ -1,0 +1,147 @@
+"""A robot, a pipeline and clouds that cost nothing, for the tests of the ROS side."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import pytest
+from builtin_interfaces.msg import Time
+
+from lime_planner.core.errors import ProblemError
+from lime_planner.core.refusal import Refusal
+from lime_planner.core.status import Status
+from lime_planner.motion.trajectory import Trajectory
+from lime_planner.ros.inputs.clouds import encode_cloud
+from lime_planner.ros.model_loader import Loaded
+
+JOINTS = ("j1", "j2", "j3")
+START = np.array([0.1, 7.0, -0.2])  # joint 2 is more than a turn away from zero
+
+
+@dataclass(frozen=True)
+class FakeRobot:
+    """Three joints without a body."""
+
+    name: str = "fake"
+    joint_names: tuple[str, ...] = JOINTS
+    planning_frame: str = "base"
+    tool_frame: str = "tool"
+    links: tuple[Any, ...] = ()
+    held_joints: tuple[tuple[str, float], ...] = ()
+    velocity_limits: np.ndarray = field(default_factory=lambda: np.full(3, 1.0))
+    acceleration_limits: np.ndarray = field(default_factory=lambda: np.full(3, 2.0))
+    lower: np.ndarray = field(default_factory=lambda: np.full(3, -np.inf))
+    upper: np.ndarray = field(default_factory=lambda: np.full(3, np.inf))
+
+    def link_poses(self, q: np.ndarray) -> np.ndarray:
+        return np.eye(4)[None]
+
+
+@dataclass(frozen=True)
+class FakeResult:
+    """A result with the attributes that the node reads."""
+
+    status: Status
+    message: str
+    waypoints: np.ndarray
+    trajectory: Trajectory | None
+    tool_path: np.ndarray
+    tool_leaf: np.ndarray
+    seed: int = 1
+
+    def figures(self) -> dict[str, Any]:
+        known = {"status": self.status.name, "message": self.message, "planner": "fake", "seed": self.seed}
+        return {**known, "path_length_rad": 1.0, "waypoints": self.waypoints}
+
+
+def trajectory(start: np.ndarray, goal: np.ndarray, duration_s: float, dt_s: float = 0.02) -> Trajectory:
+    """A smooth straight motion with exact zeros at both ends."""
+    count = max(round(duration_s / dt_s), 2)
+    u = np.linspace(0.0, 1.0, count + 1)[:, None]
+    velocities = 6.0 * u * (1.0 - u) * (goal - start) / (count * dt_s)
+    velocities[[0, -1]] = 0.0
+    return Trajectory(JOINTS[: len(start)], dt_s, start + u * u * (3.0 - 2.0 * u) * (goal - start), velocities)
+
+
+def result(start: np.ndarray, goal: np.ndarray, duration_s: float = 0.5) -> FakeResult:
+    """A successful plan."""
+    return FakeResult(
+        Status.SUCCEEDED,
+        "SUCCEEDED: path of 1.0 rad",
+        np.array([start, goal]),
+        trajectory(start, goal, duration_s),
+        np.tile([0.1, 0.2, 0.3, 0.0, 0.0, 0.0, 1.0], (5, 1)),
+        np.zeros(5),
+    )
+
+
+class FakePipeline:
+    """Plans by moving every joint by the target's x; a target with y = 8 takes a while, y = 9 for ever, z below 0 is out of reach."""
+
+    def __init__(self, robot: FakeRobot, warm_up_s: float = 0.0, plan_s: float = 0.05, duration_s: float = 0.5) -> None:
+        self.robot = robot
+        self.warm_up_s = warm_up_s
+        self.plan_s = plan_s
+        self.duration_s = duration_s
+
+    def warm_up(self) -> None:
+        time.sleep(self.warm_up_s)
+
+    def plan(self, scene: Any, T_base_tool: Any, q_start: Any, settings: Any, *, should_stop: Any, seed: int, **_: Any) -> FakeResult:
+        if len(scene.stem_points) == 13:
+            raise ProblemError("thirteen stems bring bad luck")
+        if len(scene.stem_points) == 666:
+            raise ZeroDivisionError("a defect")
+        deadline = time.monotonic() + {8.0: 0.6, 9.0: 60.0}.get(float(T_base_tool[1, 3]), self.plan_s)
+        while time.monotonic() < deadline and not should_stop():
+            time.sleep(0.002)
+        if T_base_tool[2, 3] < 0.0:
+            nothing = np.empty((0, 3)), None, np.empty((0, 7)), np.empty(0)
+            return FakeResult(Status.NO_IK_SOLUTION, "NO_IK_SOLUTION: out of reach", *nothing, seed)
+        return result(q_start, q_start + T_base_tool[0, 3], self.duration_s)
+
+    def recheck(self, plan: FakeResult, scene: Any, q: np.ndarray, settings: Any, *, should_stop: Any) -> tuple[Status, str]:
+        if np.abs(plan.waypoints[0] - q).max() > 0.01:
+            return Status.START_INVALID, "the arm has moved since"
+        return Status.SUCCEEDED, "still free"
+
+    def follow(self, waypoints: np.ndarray, scene: Any, T_base_tool: Any, settings: Any, *, should_stop: Any) -> FakeResult:
+        return result(waypoints[0], waypoints[-1], self.duration_s)
+
+    def obstruction(self, plan: FakeResult, scene: Any, settings: Any, *, should_stop: Any, from_time_s: float = 0.0) -> str | None:
+        return "a stem stands 0.3 m ahead" if len(scene.stem_points) == 99 else None
+
+
+def build_fake(settings: Any, urdf: str | None) -> Loaded:
+    """An engine's builder."""
+    robot = FakeRobot()
+    return Loaded(robot, FakePipeline(robot))
+
+
+def cloud(count: int, frame_id: str = "base", seed: int = 0, **columns: np.ndarray) -> Any:
+    """A cloud of random points in a box beside the base."""
+    msg = encode_cloud(np.random.default_rng(seed).uniform(0.3, 0.6, (count, 3)), columns)
+    msg.header.frame_id = frame_id
+    return msg
+
+
+def never() -> bool:
+    """A `should_stop` that lets everything run."""
+    return False
+
+
+def refusal_of(call: Callable[[], object]) -> tuple[Status, str]:
+    """The code and the sentence with which a call is refused."""
+    with pytest.raises(Refusal) as caught:
+        call()
+    return caught.value.status, str(caught.value)
+
+
+def stamped(msg: Any, stamp_s: float) -> Any:
+    """The message with another stamp."""
+    msg.header.stamp = Time(sec=int(stamp_s), nanosec=int(stamp_s % 1.0 * 1e9))
+    return msg
