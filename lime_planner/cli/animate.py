@@ -40,7 +40,7 @@ def run(args: argparse.Namespace) -> int:
     from lime_planner.output.console import console
     from lime_planner.output.saved_plan import read_plan
     from lime_planner.pipeline import Pipeline
-    from lime_planner.viewer.backend import Shown
+    from lime_planner.pipeline.plan_record import PlanRecord
 
     if not 1.0 <= args.fps <= 60.0:
         raise ParameterError(f"--fps {args.fps:g}: allowed are 1 to 60")
@@ -52,7 +52,7 @@ def run(args: argparse.Namespace) -> int:
     settings = settings_from(plan.parameters)
     scene = plan.load_scene(args.scene)
     robot = load_arm(settings)
-    shown = Shown(1, scene, settings, plan.target, plan.result(robot))
+    shown = PlanRecord(1, scene, settings, plan.target, plan.result(robot))
     screen = console(error=True)
     with Progress(console=screen, transient=True, disable=not screen.is_terminal) as bar:
         task = bar.add_task("drawing", total=None)

@@ -16,9 +16,9 @@ from lime_planner.output.picture import ARM, FREE_PATH, LEAFY_PATH, LIME, STEM, 
 from lime_planner.output.render import Layer, View, cloud_layer, compose, halved, mesh_layer
 from lime_planner.output.timeline import Insight, look_into
 from lime_planner.pipeline import Pipeline
+from lime_planner.pipeline.plan_record import PlanRecord
 from lime_planner.robot.model import Robot
 from lime_planner.scene.scene import Scene
-from lime_planner.viewer.backend import Shown
 
 SUFFIXES = (".gif", ".mp4")
 
@@ -41,7 +41,7 @@ Picture = npt.NDArray[np.uint8]
 def animate(
     path: str | os.PathLike[str],
     pipeline: Pipeline,
-    shown: Shown,
+    shown: PlanRecord,
     *,
     fps: float = 15.0,
     width: int = 560,
@@ -86,7 +86,7 @@ def animate(
 class _Stage:
     """The plant as one camera sees it, before which the arm moves."""
 
-    def __init__(self, robot: Robot, shown: Shown, insight: Insight, width: int) -> None:
+    def __init__(self, robot: Robot, shown: PlanRecord, insight: Insight, width: int) -> None:
         self._robot, self._insight, self._scene = robot, insight, shown.scene
         seen = in_sight(shown.scene, robot)
         arms = [arm_mesh(robot, q)[0] for q in insight.configurations[:: max(1, len(insight.configurations) // 8)]]

@@ -13,9 +13,9 @@ from lime_planner.core.geometry import pose_to_matrix
 from lime_planner.pipeline import Pipeline
 from lime_planner.pipeline.context import never
 from lime_planner.pipeline.goals import find_goals
+from lime_planner.pipeline.plan_record import PlanRecord
 from lime_planner.pipeline.search import search
 from lime_planner.planning.lime_star.roadmap import BLOCKED, UNKNOWN, Roadmap
-from lime_planner.viewer.backend import Shown
 
 Array = npt.NDArray[np.float64]
 
@@ -38,7 +38,7 @@ class Grown:
     total: int
 
 
-def grow_again(pipeline: Pipeline, shown: Shown, *, should_stop: Callable[[], bool] = never) -> Grown:
+def grow_again(pipeline: Pipeline, shown: PlanRecord, *, should_stop: Callable[[], bool] = never) -> Grown:
     """Search again as the plan did, and return the tree.
 
     Args:

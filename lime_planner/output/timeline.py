@@ -11,7 +11,7 @@ from lime_planner.collision.touched_points import touched_points
 from lime_planner.motion.trajectory import Trajectory
 from lime_planner.pipeline import Pipeline
 from lime_planner.pipeline.finish import leaf_profile, sample_path
-from lime_planner.viewer.backend import Shown
+from lime_planner.pipeline.plan_record import PlanRecord
 
 Array = npt.NDArray[np.float64]
 
@@ -61,12 +61,12 @@ class Insight:
         return np.array([np.interp(t_s, self.times_s, column) for column in self.configurations.T])
 
 
-def look_into(pipeline: Pipeline, shown: Shown) -> Insight:
+def look_into(pipeline: Pipeline, shown: PlanRecord) -> Insight:
     """Follow a plan in its scene.
 
     Args:
         pipeline: of the arm that it was made for.
-        shown: a plan with a path (`Shown.found`).
+        shown: a plan with a path (`PlanRecord.found`).
     """
     robot, settings, scene = pipeline.robot, shown.settings, shown.scene
     times, configurations, timed = _samples(shown.result.trajectory, shown.result.waypoints)

@@ -15,7 +15,8 @@ import numpy as np
 import numpy.typing as npt
 
 from lime_planner.core.parameters import Settings, validate
-from lime_planner.pipeline import Pipeline, PlanResult
+from lime_planner.pipeline import Pipeline
+from lime_planner.pipeline.plan_record import PlanRecord
 from lime_planner.robot.model import Robot
 from lime_planner.scene.scene import Scene
 
@@ -30,29 +31,6 @@ class Activity(enum.Enum):
     PLANNING = "Planning"
     MOVING = "The arm moves"
     STOPPING = "The arm stops"
-
-
-@dataclass(frozen=True, eq=False)
-class Shown:
-    """A finished plan with what it was made of.
-
-    Attributes:
-        number: tells plans apart; what Execute is confirmed for.
-        scene, settings: as used.
-        target: (7,) pose of the tool at the fruit, T_base_tool; None for a motion without one (a retreat).
-        result: of any status.
-    """
-
-    number: int
-    scene: Scene
-    settings: Settings
-    target: Array | None
-    result: PlanResult
-
-    @property
-    def found(self) -> bool:
-        """Whether there is a path to be shown."""
-        return len(self.result.waypoints) > 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +59,7 @@ class Moment:
     scene: Scene | None = None
     target: Array | None = None
     q: Array | None = None
-    shown: Shown | None = None
+    shown: PlanRecord | None = None
     moving_s: float | None = None
     blocked_plan: str = ""
     blocked_motion: str = ""

@@ -14,7 +14,8 @@ import numpy.typing as npt
 from lime_planner.core.parameters import PLANNERS, Settings
 from lime_planner.core.status import Status
 from lime_planner.output.console import cell
-from lime_planner.viewer.backend import Activity, Moment, Shown
+from lime_planner.pipeline.plan_record import PlanRecord
+from lime_planner.viewer.backend import Activity, Moment
 
 Array = npt.NDArray[np.float64]
 
@@ -162,7 +163,7 @@ def in_words(moment: Moment) -> str:
     return message
 
 
-def figures(shown: Shown | None, touched: str) -> str:
+def figures(shown: PlanRecord | None, touched: str) -> str:
     """Return a plan's figures as a small table of HTML; empty without a path."""
     if shown is None or not shown.found:
         return ""
@@ -180,7 +181,7 @@ def figures(shown: Shown | None, touched: str) -> str:
     return f'<table style="font-size:0.86em;margin-top:4px;border-spacing:0">{cells}</table>'
 
 
-def ask_before_moving(client: Any, shown: Shown, *, real: bool, go: Callable[[], None]) -> None:
+def ask_before_moving(client: Any, shown: PlanRecord, *, real: bool, go: Callable[[], None]) -> None:
     """Ask one browser's user whether the arm is to move.
 
     Args:

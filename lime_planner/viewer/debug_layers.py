@@ -13,7 +13,8 @@ from lime_planner.collision.distance_fields import Fields
 from lime_planner.output.picture import FREE_PATH, LEAFY_PATH
 from lime_planner.output.search_tree import Grown, grow_again
 from lime_planner.pipeline import Pipeline
-from lime_planner.viewer.backend import Moment, Shown
+from lime_planner.pipeline.plan_record import PlanRecord
+from lime_planner.viewer.backend import Moment
 from lime_planner.viewer.controls import FIELDS, Controls
 from lime_planner.viewer.layers import Arm, rgb
 
@@ -36,7 +37,7 @@ class Extras:
         self._note = note
         self._pool = ThreadPoolExecutor(1, thread_name_prefix="tree")
         self._tree: Any = None
-        self._tree_of: Shown | None = None
+        self._tree_of: PlanRecord | None = None
         self._spheres: list[Any] = []
         self._spheres_of: Arm | None = None
         self._slice: Any = None
@@ -48,7 +49,7 @@ class Extras:
         """Do not begin anything more."""
         self._pool.shutdown(wait=False, cancel_futures=True)
 
-    def draw(self, moment: Moment, shown: Shown | None, ghost: Arm | None) -> None:
+    def draw(self, moment: Moment, shown: PlanRecord | None, ghost: Arm | None) -> None:
         """Make, show and hide what is wanted."""
         pipeline = moment.pipeline
         self._draw_tree(pipeline, shown if self._controls.shows("tree") else None)
@@ -56,7 +57,7 @@ class Extras:
         self._draw_slice(moment)
         self.notes = [note for note in (self._tree_note, self._field_note) if note]
 
-    def _draw_tree(self, pipeline: Pipeline | None, shown: Shown | None) -> None:
+    def _draw_tree(self, pipeline: Pipeline | None, shown: PlanRecord | None) -> None:
         if shown is self._tree_of:
             return
         if self._tree is not None:
@@ -69,7 +70,7 @@ class Extras:
         future = self._pool.submit(grow_again, pipeline, shown, should_stop=lambda: self._tree_of is not shown)
         future.add_done_callback(lambda done: None if done.cancelled() else self._note(lambda: self._put_tree(shown, done.result())))
 
-    def _put_tree(self, shown: Shown, grown: Grown) -> None:
+    def _put_tree(self, shown: PlanRecord, grown: Grown) -> None:
         if shown is not self._tree_of:
             return
         thin = "" if len(grown.segments) == grown.total else f"{len(grown.segments):,} of "

@@ -15,10 +15,11 @@ import numpy as np
 import numpy.typing as npt
 
 from lime_planner.output.timeline import Insight, look_into
+from lime_planner.pipeline.plan_record import PlanRecord
 from lime_planner.robot.model import Robot
 from lime_planner.scene.scene import Scene
 from lime_planner.viewer.access import Access
-from lime_planner.viewer.backend import Activity, Backend, Moment, Shown, Wishes
+from lime_planner.viewer.backend import Activity, Backend, Moment, Wishes
 from lime_planner.viewer.controls import Commands, Controls, ask_before_moving
 from lime_planner.viewer.debug_layers import Extras
 from lime_planner.viewer.empty_page import Starting
@@ -56,7 +57,7 @@ class Page:
         self._closed = threading.Event()
         self._robot: Robot | None = None
         self._scene: Scene | None = None
-        self._shown: Shown | None = None
+        self._shown: PlanRecord | None = None
         self._insight: Insight | None = None
         self._arm: Arm | None = None
         self._ghost: Arm | None = None

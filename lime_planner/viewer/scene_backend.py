@@ -17,10 +17,11 @@ from lime_planner.core.status import Status
 from lime_planner.motion import stop as stopping
 from lime_planner.motion.trajectory import Trajectory
 from lime_planner.pipeline import Pipeline, PlanResult
+from lime_planner.pipeline.plan_record import PlanRecord
 from lime_planner.robot.model import Robot, home
 from lime_planner.scene.plants.grasp_targets import canopy_targets, grasp_pose
 from lime_planner.scene.scene import Scene
-from lime_planner.viewer.backend import Activity, Moment, Shown, Wishes, with_wishes
+from lime_planner.viewer.backend import Activity, Moment, Wishes, with_wishes
 
 Array = npt.NDArray[np.float64]
 Job = Callable[[threading.Event], None]
@@ -83,7 +84,7 @@ class Desk:
         self._ready = False
         self._q = q_start
         self._motion: _Motion | None = None
-        self._shown: Shown | None = None
+        self._shown: PlanRecord | None = None
         self._count = 0
         self._message = "loading the arm's model"
         with self._lock:
@@ -292,7 +293,7 @@ class Desk:
             if scene is not self._scene:
                 return  # another one was opened meanwhile
             self._count += 1
-            self._shown = Shown(self._count, scene, settings, target, result)
+            self._shown = PlanRecord(self._count, scene, settings, target, result)
 
 
 def _place_to_begin(scene: Scene, robot: Robot) -> Array:

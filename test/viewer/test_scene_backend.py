@@ -21,9 +21,10 @@ from lime_planner.output.saved_plan import read_plan
 from lime_planner.output.search_tree import grow_again
 from lime_planner.output.timeline import Insight, look_into
 from lime_planner.pipeline import PlanResult
+from lime_planner.pipeline.plan_record import PlanRecord
 from lime_planner.robot.model import home
 from lime_planner.scene.files import save_scene
-from lime_planner.viewer.backend import Activity, Moment, Shown, Wishes
+from lime_planner.viewer.backend import Activity, Moment, Wishes
 from lime_planner.viewer.scene_backend import Desk
 
 QUICK = {"iterations": 400, "seed": 3}
@@ -48,16 +49,16 @@ def desk() -> Iterator[Desk]:
 
 
 @pytest.fixture(scope="module")
-def shown() -> Shown:
+def shown() -> PlanRecord:
     scene, chosen = plant(15), settings(**QUICK)
     assert scene.target_pose is not None
     result = pipeline_of().plan(scene, pose_to_matrix(scene.target_pose), home(robot_named()), chosen)
     assert result.status is Status.SUCCEEDED
-    return Shown(1, scene, chosen, scene.target_pose, result)
+    return PlanRecord(1, scene, chosen, scene.target_pose, result)
 
 
 @pytest.fixture(scope="module")
-def insight(shown: Shown) -> Insight:
+def insight(shown: PlanRecord) -> Insight:
     return look_into(pipeline_of(), shown)
 
 
@@ -128,7 +129,7 @@ def test_foreign_frame_is_named() -> None:
         desk.close()
 
 
-def test_insight_agrees_with_the_plan(shown: Shown, insight: Insight) -> None:
+def test_insight_agrees_with_the_plan(shown: PlanRecord, insight: Insight) -> None:
     figures = shown.result
     assert figures.trajectory is not None
     assert insight.timed and insight.duration_s == pytest.approx(figures.trajectory.duration_s)
@@ -142,23 +143,23 @@ def test_insight_agrees_with_the_plan(shown: Shown, insight: Insight) -> None:
     )
 
 
-def test_touched_leaves_are_those_that_the_planner_pays_for(shown: Shown, insight: Insight) -> None:
+def test_touched_leaves_are_those_that_the_planner_pays_for(shown: PlanRecord, insight: Insight) -> None:
     agree = insight.touched.any(axis=1) == (insight.leaf > 0.0)
     assert agree.mean() > 0.97  # the planner thins leaves to 4 mm
     assert insight.touched.any() and insight.leaf_points.max() < len(shown.scene.leaf_points)
 
 
 @pytest.mark.parametrize("planner", ["lime_star", "apf_rrt_star"])
-def test_search_tree_begins_at_the_arm(shown: Shown, planner: str) -> None:
+def test_search_tree_begins_at_the_arm(shown: PlanRecord, planner: str) -> None:
     chosen = settings(iterations=9000 if planner == "lime_star" else 3000, planner=planner)  # paths come before the roadmap
-    grown = grow_again(pipeline_of(), Shown(1, shown.scene, chosen, shown.target, shown.result))
+    grown = grow_again(pipeline_of(), PlanRecord(1, shown.scene, chosen, shown.target, shown.result))
     assert 50 < len(grown.segments) <= grown.total and grown.segments.shape[2:] == (2, 3)
     assert len(grown.leafy) == len(grown.segments)
     start = robot_named().forward(shown.result.waypoints[0])[:3, 3]
     assert np.linalg.norm(grown.segments.reshape(-1, 3) - start, axis=1).min() < 1e-5
 
 
-def test_saved_plan_comes_back(tmp_path: Path, shown: Shown, capsys: pytest.CaptureFixture[str]) -> None:
+def test_saved_plan_comes_back(tmp_path: Path, shown: PlanRecord, capsys: pytest.CaptureFixture[str]) -> None:
     scene, plan, gif = tmp_path / "plant.npz", tmp_path / "plan.json", tmp_path / "reach.gif"
     save_scene(scene, shown.scene)
     assert cli.main(["plan", str(scene), "--json", str(plan), "--iterations", "400", "--seed", "3", "--set", "stem_margin_m=0.006"]) == 0
@@ -185,7 +186,7 @@ def test_saved_plan_comes_back(tmp_path: Path, shown: Shown, capsys: pytest.Capt
     assert "ends in none of .gif, .mp4" in capsys.readouterr().err
 
 
-def test_a_plan_saved_in_python_comes_back(tmp_path: Path, shown: Shown, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_plan_saved_in_python_comes_back(tmp_path: Path, shown: PlanRecord, capsys: pytest.CaptureFixture[str]) -> None:
     scene, gif = tmp_path / "plant.npz", tmp_path / "reach.gif"
     save_scene(scene, shown.scene)
     bare, named = shown.result.save(tmp_path / "bare.json"), shown.result.save(tmp_path / "named.json", scene_path="plant.npz")
@@ -216,7 +217,7 @@ def test_a_plan_saved_in_python_comes_back(tmp_path: Path, shown: Shown, capsys:
     assert "--scene is for a saved plan" in capsys.readouterr().err
 
 
-def test_a_refused_plan_comes_back_too(tmp_path: Path, shown: Shown, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_refused_plan_comes_back_too(tmp_path: Path, shown: PlanRecord, capsys: pytest.CaptureFixture[str]) -> None:
     save_scene(tmp_path / "plant.npz", shown.scene)
     start = home(robot_named()) + 0.1
     refused = PlanResult(Status.NO_PATH, "NO_PATH: none", "lime_star", 1, T_base_tool=shown.result.T_base_tool, q_start=start)
@@ -228,7 +229,7 @@ def test_a_refused_plan_comes_back_too(tmp_path: Path, shown: Shown, capsys: pyt
     assert capsys.readouterr().err.startswith("BAD_INPUT: the plan has no path to animate: NO_PATH: none")
 
 
-def test_video(tmp_path: Path, shown: Shown) -> None:
+def test_video(tmp_path: Path, shown: PlanRecord) -> None:
     import imageio
 
     path = animate(tmp_path / "reach.mp4", pipeline_of(), shown, fps=1.0, width=160)

@@ -118,9 +118,9 @@ class MarkerDesk(Attendant):
     def _tree(self, shown: Shown, target: npt.NDArray[np.float64], loaded: Loaded) -> npt.NDArray[np.float32]:
         """Return tool positions of the pieces of the search tree's edges, (S, 2, 3): the search runs once more, with its own seed."""
         from lime_planner.output.search_tree import grow_again
-        from lime_planner.viewer import backend
+        from lime_planner.pipeline.plan_record import PlanRecord
 
-        plan = backend.Shown(0, shown.scene, shown.snapshot.plan, target, shown.result)
+        plan = PlanRecord(0, shown.scene, shown.snapshot.plan, target, shown.result)
         return grow_again(loaded.pipeline, plan, should_stop=lambda: self._stale(shown)).segments.reshape(-1, 2, 3)
 
 

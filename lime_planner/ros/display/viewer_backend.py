@@ -16,12 +16,13 @@ from lime_planner.core.errors import LimePlannerError
 from lime_planner.core.geometry import matrix_to_pose
 from lime_planner.core.refusal import Refusal
 from lime_planner.core.status import Status
+from lime_planner.pipeline.plan_record import PlanRecord
 from lime_planner.ros.convert import to_pose
 from lime_planner.ros.requests.jobs import Shown as Planned
 from lime_planner.ros.requests.worker import Answer, Ticket
 from lime_planner.scene.scene import Scene
 from lime_planner.viewer.access import Access
-from lime_planner.viewer.backend import Activity, Moment, Shown, Wishes
+from lime_planner.viewer.backend import Activity, Moment, Wishes
 
 if TYPE_CHECKING:
     from lime_planner.ros.nodes.planner_node import PlannerNode
@@ -53,7 +54,7 @@ class NodeBackend:
         self._lock = threading.Lock()
         self._count = 0
         self._planned: Planned | None = None
-        self._shown: Shown | None = None
+        self._shown: PlanRecord | None = None
         self._scene: Scene | None = None
         self._scene_number = -1
         self._scene_due_s = 0.0
@@ -69,7 +70,7 @@ class NodeBackend:
             self._ended = ""
             self._count += 1
             self._planned = planned
-            self._shown = Shown(self._count, planned.scene, planned.snapshot.plan, target, planned.result)
+            self._shown = PlanRecord(self._count, planned.scene, planned.snapshot.plan, target, planned.result)
             self._scene = planned.scene
 
     def on_end(self, message: str) -> None:
@@ -175,7 +176,7 @@ class NodeBackend:
             return "the planner is still getting ready"
         return "the arm moves; press Stop first" if activity in (Activity.MOVING, Activity.STOPPING) else ""
 
-    def _why_no_motion(self, activity: Activity, shown: Shown | None) -> str:
+    def _why_no_motion(self, activity: Activity, shown: PlanRecord | None) -> str:
         if not self._node.params.snapshot.node.motion_enabled:
             return "motion is disabled by the parameter motion_enabled"
         if activity in (Activity.MOVING, Activity.STOPPING):
