@@ -10,16 +10,14 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from lime_planner.core.errors import ParameterError
 from lime_planner.core.parameters import settings_from
+from lime_planner.core.types import Array
 from lime_planner.experiments.problems import Problem
 from lime_planner.pipeline.search import paper_options
 from lime_planner.planning.lime_star.planner import LimeOptions, plan_lime
 from lime_planner.planning.rrt_star.planner import PaperOptions, plan_paper
-
-Array = npt.NDArray[np.float64]
 
 CLOCKS: dict[str, Callable[[], float]] = {"wall": time.monotonic, "cpu": time.thread_time}
 

@@ -11,16 +11,14 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from lime_planner.collision.self_contact import SELF_CLEARANCE_M
 from lime_planner.core.errors import ParameterError
+from lime_planner.core.types import Array
 from lime_planner.experiments.problems import Problem, ProblemSpec, SceneSpec, find_problem, pipeline_of, scene_of
 from lime_planner.pipeline.goals import measure
 from lime_planner.robot.model import home
 from lime_planner.scene.plants.grasp_targets import canopy_targets, lime_targets
-
-Array = npt.NDArray[np.float64]
 
 CASES = ("plain", "narrow", "leaf_start", "far")
 DRAWN_TARGETS = 64  # targets drawn in each scan, whatever number is used

@@ -10,11 +10,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from lime_planner.core.jit import kernel
-
-Array = npt.NDArray[np.float64]
+from lime_planner.core.types import Array
 
 _TABLE_VALUES = 4_000_000  # 16 MB of float32, about a plant's distance field
 REFERENCE_LOOPS = 200_000

@@ -8,7 +8,6 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from benchmarks.planner_runs import CLOCKS, paper_settings, run_lime, warm_up
 from benchmarks.problem_sets import choose_problems
@@ -18,13 +17,12 @@ from lime_planner.collision.edge_cost import arm_check, arm_edge
 from lime_planner.collision.fast import SELF
 from lime_planner.collision.self_contact import SELF_CLEARANCE_M
 from lime_planner.core.jit import kernel
+from lime_planner.core.types import Array
 from lime_planner.experiments.problems import Problem, ProblemSpec, SceneSpec, build_problem, pipeline_of, scene_of
 from lime_planner.pipeline.obstacles import prepare
 from lime_planner.planning.rrt_star.planner import plan_paper
 from lime_planner.robot.kinematics import forward_kinematics
 from lime_planner.scene.scene import Scene
-
-Array = npt.NDArray[np.float64]
 
 PLANT = SceneSpec("medium-1", density="medium", seed=1)  # 59,000 leaf points, 6,600 on wood
 CONFIGURATIONS = 400

@@ -16,14 +16,12 @@ from typing import Any, NamedTuple
 import numba
 import numba.core.types as nt
 import numpy as np
-import numpy.typing as npt
 from numba.extending import intrinsic
 
 from lime_planner.collision.edge_cost import arm_edge
 from lime_planner.collision.joint_space import ArmSpace, arm_evaluate
 from lime_planner.core.jit import c_function, kernel
-
-Array = npt.NDArray[np.float64]
+from lime_planner.core.types import Array
 
 
 class _Call(NamedTuple):

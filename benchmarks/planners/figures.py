@@ -7,12 +7,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from benchmarks.planner_runs import cost_at
 from benchmarks.planners.report import CHECKS, LABELS, TIME, best_known, budget_of, compared, methods_of, reached
-
-Array = npt.NDArray[np.float64]
+from lime_planner.core.types import Array
 
 _COLOURS = ("#1b7837", "#762a83", "#c2a5cf", "#e08214", "#2166ac", "#b2182b", "#878787", "#01665e", "#8c510a", "#000000")
 _POINTS = 80

@@ -24,7 +24,6 @@ from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from ompl import base as ob
 from ompl import geometric as og
 from ompl import util as ou
@@ -34,9 +33,8 @@ from benchmarks.planners.ompl_callbacks import Callbacks, stopping
 from benchmarks.planners.ompl_simplifier import Simplification, shorten
 from benchmarks.planners.peers_dispatch import counted, dispatch_times
 from lime_planner.core.errors import ParameterError
+from lime_planner.core.types import Array
 from lime_planner.experiments.problems import Problem
-
-Array = npt.NDArray[np.float64]
 
 #: How much of the time may be credited at most, lest a calibration on a busy machine gives a planner time without end.
 _MOST_CREDIT = 0.7

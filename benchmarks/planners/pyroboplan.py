@@ -17,13 +17,11 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from benchmarks.planner_runs import CLOCKS, Curve, record, seldom
 from benchmarks.planners.compiled_checks import CompiledChecks
+from lime_planner.core.types import Array
 from lime_planner.experiments.problems import Problem
-
-Array = npt.NDArray[np.float64]
 
 _UNLIMITED_STEP_RAD = 1e6  # edges are certified whole: there is nothing to discretise
 _ATTEMPT_S = 1.0  # for one goal before the next one's turn

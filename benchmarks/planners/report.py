@@ -7,12 +7,10 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from benchmarks.planner_runs import cost_at
 from lime_planner.experiments.analysis.bootstrap import by_cluster, median
 
-Array = npt.NDArray[np.float64]
 Key = tuple[str, int]
 
 DEFAULT = "lime_star"

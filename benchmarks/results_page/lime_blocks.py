@@ -5,14 +5,13 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from lime_planner.core.types import Array
 from lime_planner.experiments.analysis.statistics import against_zero, welch
 from lime_planner.experiments.lime import report as lime
 from lime_planner.experiments.lime.trials import ALGORITHMS, FIXED, LABELS, PAPER
 from lime_planner.experiments.wall.report import markdown_table, p_text
 
-Array = npt.NDArray[np.float64]
 Results = dict[str, Any]
 Costs = dict[tuple[int, str, int], float | None]
 

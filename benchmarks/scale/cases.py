@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from benchmarks.isolated import run_isolated
 from benchmarks.planner_runs import run_lime, warm_up
@@ -20,6 +19,7 @@ from lime_planner.collision.joint_space import ArmSpace
 from lime_planner.core.errors import ProblemError
 from lime_planner.core.jit import kernel
 from lime_planner.core.parameters import settings_from
+from lime_planner.core.types import Array, Float32, UInt8
 from lime_planner.experiments.problems import ProblemSpec, SceneSpec, build_problem, pipeline_of, scene_of
 from lime_planner.pipeline.obstacles import prepare
 from lime_planner.pipeline.pipeline import Pipeline
@@ -30,8 +30,6 @@ from lime_planner.scene import voxels
 from lime_planner.scene.clean import clean_scene
 from lime_planner.scene.plants.generator import PlantOptions, generate_plant
 from lime_planner.scene.scene import Scene
-
-Array = npt.NDArray[np.float64]
 
 AXES = ("points", "leaves", "joints", "budget")
 ARM = "kinova_j2s6s200"
@@ -74,7 +72,7 @@ def _check_rows(space: Any, rows: Any, times: int) -> int:
     return count
 
 
-def labelled_cloud(points: int) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.uint8]]:
+def labelled_cloud(points: int) -> tuple[Float32, UInt8]:
     """A cloud of a dense plant as a camera might give it: `points` points with labels, noise, and one in a thousand not finite."""
     rng = np.random.default_rng(0)
     plant = generate_plant(rng, PlantOptions(density="dense"))

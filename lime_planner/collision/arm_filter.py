@@ -7,9 +7,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from lime_planner.core.types import Array, Float32
 from lime_planner.robot.model import Robot
-
-Array = npt.NDArray[np.float64]
 
 #: Points farther from the arm than this are reported as this far: nobody asks [m].
 FAR_M = 0.15
@@ -66,7 +65,7 @@ class ArmSurface:
         return distances
 
 
-def _signed(scene: Any, points: npt.NDArray[np.float32], low: Array, high: Array) -> Array:
+def _signed(scene: Any, points: Float32, low: Array, high: Array) -> Array:
     """Distances of points (N, 3) from the surface of one body with the box `low` to `high`, negative inside."""
     found = scene.compute_distance(points).numpy().astype(np.float64)
     inside = np.asarray(((points > low) & (points < high)).all(axis=1))  # who is outside the box is outside the body

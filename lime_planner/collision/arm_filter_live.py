@@ -6,10 +6,8 @@ import dataclasses
 from functools import partial
 from typing import TYPE_CHECKING
 
-import numpy as np
-import numpy.typing as npt
-
 from lime_planner.collision.arm_filter import ArmSurface
+from lime_planner.core.types import Array
 from lime_planner.robot.model import Robot
 from lime_planner.scene.clean import clean_scene, remove_arm
 from lime_planner.scene.scene import Scene
@@ -25,7 +23,7 @@ def make_arm_filter(robot: Robot) -> ArmFilter:
     """Return the filter for one arm."""
     surface = ArmSurface(robot)
 
-    def remove(scene: Scene, q: npt.NDArray[np.float64] | None, padding_m: float) -> Scene:
+    def remove(scene: Scene, q: Array | None, padding_m: float) -> Scene:
         scene = clean_scene(scene, reach_m=robot.reach_m + _BEYOND_REACH_M)
         if q is None:
             # Taken before the first joint state: where the arm was is unknown. Its points stay, as obstacles.

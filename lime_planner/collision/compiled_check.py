@@ -12,7 +12,6 @@ from typing import Any, NamedTuple
 import numba
 import numba.core.types as nt
 import numpy as np
-import numpy.typing as npt
 from llvmlite import ir  # type: ignore[import-untyped]
 from numba.extending import intrinsic
 
@@ -22,9 +21,8 @@ from lime_planner.collision.link_shapes import Shapes
 from lime_planner.collision.potential import repulse
 from lime_planner.collision.world import World, empty_world
 from lime_planner.core.jit import c_function, kernel
+from lime_planner.core.types import Int64
 from lime_planner.robot.kinematics import Chain
-
-Array = npt.NDArray[np.float64]
 
 
 class Parts(NamedTuple):
@@ -134,7 +132,7 @@ class _Memory:
         self.__array_interface__ = self.addresses.__array_interface__
 
 
-def make_engine(chain: Chain, shapes: Shapes, world: World, scratch: Scratch, state: State) -> npt.NDArray[np.int64]:
+def make_engine(chain: Chain, shapes: Shapes, world: World, scratch: Scratch, state: State) -> Int64:
     """Return (3,) addresses: of the structure, of the check and of the repulsion; the array keeps everything alive.
 
     Raises:

@@ -16,8 +16,7 @@ import numpy.typing as npt
 
 from lime_planner.collision.distance_grid import fill_channel, filled
 from lime_planner.core.jit import inline_kernel, kernel
-
-Points = npt.NDArray[np.float32]
+from lime_planner.core.types import Array, Float32, Int32, Int64, UInt8
 
 STEM, LEAF = 0, 1  # channels of a field's values
 EMPTY_DISTANCE_M = 10.0  # what a field without points answers
@@ -37,12 +36,12 @@ class PointHash(NamedTuple):
         weights: (P,) float32, the points' permeability costs (ones for stems).
     """
 
-    origin: npt.NDArray[np.float64]
+    origin: Array
     cell_m: float
-    shape: npt.NDArray[np.int64]
-    start: npt.NDArray[np.int32]
-    points: Points
-    weights: npt.NDArray[np.float32]
+    shape: Int64
+    start: Int32
+    points: Float32
+    weights: Float32
 
 
 class Fields(NamedTuple):
@@ -59,11 +58,11 @@ class Fields(NamedTuple):
         leaves: the leaf points in a hash.
     """
 
-    origin: npt.NDArray[np.float64]
+    origin: Array
     spacing_m: float
-    values: npt.NDArray[np.float32]
-    boxes: npt.NDArray[np.float64]
-    present: npt.NDArray[np.uint8]
+    values: Float32
+    boxes: Array
+    present: UInt8
     stems: PointHash
     leaves: PointHash
 

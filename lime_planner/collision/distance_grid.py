@@ -7,9 +7,9 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from lime_planner.core.jit import kernel
+from lime_planner.core.types import Array, Float32
 
 _BAND_NODES = 3.6  # distances up to this many spacings are exact at the nodes
 _SLICE_NODES = 500_000  # and this many points: what is done between two looks at whether the caller has had enough, 10 ms or so
@@ -139,7 +139,7 @@ def _slices(count: int, size: int, pause: Callable[[], None]) -> Iterator[tuple[
         yield first, min(first + max(size, 1), count)
 
 
-def filled(shape: tuple[int, ...], value: float, pause: Callable[[], None]) -> npt.NDArray[np.float32]:
+def filled(shape: tuple[int, ...], value: float, pause: Callable[[], None]) -> Float32:
     """Return an array of one value; the system hands out a hundred megabytes no faster than they can be written.
 
     Args:
@@ -154,11 +154,11 @@ def filled(shape: tuple[int, ...], value: float, pause: Callable[[], None]) -> n
 
 
 def fill_channel(
-    points: npt.NDArray[np.float32],
-    origin: npt.NDArray[np.float64],
+    points: Float32,
+    origin: Array,
     spacing_m: float,
     channel: int,
-    values: npt.NDArray[np.float32],
+    values: Float32,
     pause: Callable[[], None],
 ) -> None:
     """Write the distances to points into one channel of a grid.

@@ -6,13 +6,11 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from lime_planner.collision.compiled_check import call_check
 from lime_planner.collision.fast import LEAF, NEED, ZONE
 from lime_planner.core.jit import hot_kernel
-
-Array = npt.NDArray[np.float64]
+from lime_planner.core.types import Array, Int32
 
 MAX_EDGE_STATES = 2048
 BIG_LEAF_STEP_RAD = 0.05  # inside leaves the intensity is sampled at least this often
@@ -36,8 +34,8 @@ class EdgeMemory(NamedTuple):
     own: Array
     misc: Array
     at: Array
-    left: npt.NDArray[np.int32]
-    right: npt.NDArray[np.int32]
+    left: Int32
+    right: Int32
     motion: Array
     relative: Array
     q: Array

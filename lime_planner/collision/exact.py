@@ -17,11 +17,10 @@ import numpy.typing as npt
 from lime_planner.collision.exact_kernels import link_extents, near_pairs
 from lime_planner.collision.exact_points import PointTest, boxes_of, winds_round
 from lime_planner.core.errors import ProblemError
+from lime_planner.core.types import Array
 from lime_planner.robot.kinematics import forward_kinematics, tool_pose
 from lime_planner.robot.meshes import bvh_of
 from lime_planner.robot.model import Robot
-
-Array = npt.NDArray[np.float64]
 
 _POLL_EVERY = 16  # configurations between two looks at should_stop
 _BOX_LIMIT_M = 100.0  # keep-out boxes may be infinite; FCL's may not

@@ -6,14 +6,11 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from lime_planner.collision.link_grids import HALF_DIAGONAL_M, PITCH_M, LinkGrids
 from lime_planner.collision.point_blocks import PointBlocks
 from lime_planner.core.jit import kernel
-
-Array = npt.NDArray[np.float64]
-Ints = npt.NDArray[np.int64]
+from lime_planner.core.types import Array, Bool, Int32, Int64
 
 
 class LinkBoxes(NamedTuple):
@@ -27,12 +24,12 @@ class LinkBoxes(NamedTuple):
         hull: (H, 3) corners of the links' convex hulls; hull_start: (L + 1,) each link's range.
     """
 
-    joint: Ints
-    gripper: npt.NDArray[np.bool_]
+    joint: Int64
+    gripper: Bool
     centre: Array
     half: Array
     hull: Array
-    hull_start: Ints
+    hull_start: Int64
 
 
 @kernel
@@ -81,7 +78,7 @@ def boxes_meet(boxes: LinkBoxes, poses: Array, i: int, j: int) -> bool:
 
 
 @kernel
-def near_pairs(boxes: LinkBoxes, poses: Array, pairs: Ints, out: Ints) -> int:
+def near_pairs(boxes: LinkBoxes, poses: Array, pairs: Int64, out: Int64) -> int:
     """Write the indices of `pairs` (K, 2) whose links' bounding boxes overlap; return their number."""
     count = 0
     for k in range(pairs.shape[0]):
@@ -97,10 +94,10 @@ def near_points(
     grids: LinkGrids,
     poses: Array,
     blocks: PointBlocks,
-    spared: npt.NDArray[np.bool_],
+    spared: Bool,
     sparing: bool,
-    links: Ints,
-    points: Ints,
+    links: Int64,
+    points: Int64,
     gaps: Array,
 ) -> int:
     """Collect every pair of link and point whose ball may touch the link.
@@ -160,9 +157,7 @@ def near_points(
 
 
 @kernel
-def lower_bounds(
-    boxes: LinkBoxes, grids: LinkGrids, poses: Array, blocks: PointBlocks, spared: npt.NDArray[np.bool_], sparing: bool, bound: Array
-) -> None:
+def lower_bounds(boxes: LinkBoxes, grids: LinkGrids, poses: Array, blocks: PointBlocks, spared: Bool, sparing: bool, bound: Array) -> None:
     """Write lower bounds (L, P) of the signed distance of every point to every link's surface [m].
 
     -inf for a point in an enclosed voxel, inf where the point does not count for the link (see `near_points`).
@@ -198,7 +193,7 @@ def lower_bounds(
 
 
 @kernel
-def winding_number(vertices: Array, triangles: npt.NDArray[np.int32], x: float, y: float, z: float) -> float:
+def winding_number(vertices: Array, triangles: Int32, x: float, y: float, z: float) -> float:
     """Return how often a mesh winds round a point: 1 inside a closed one, 0 outside, in between near a hole.
 
     Sum of the triangles' solid angles (Van Oosterom and Strackee 1983) over 4π, as in Jacobson et al. 2013.

@@ -5,15 +5,13 @@ from __future__ import annotations
 from weakref import WeakKeyDictionary
 
 import numpy as np
-import numpy.typing as npt
 
 from lime_planner.collision.exact_kernels import LinkBoxes, lower_bounds, near_points, winding_number
 from lime_planner.collision.link_grids import HALF_DIAGONAL_M, LinkGrids, build_grids
 from lime_planner.collision.point_blocks import make_blocks
+from lime_planner.core.types import Array
 from lime_planner.robot.meshes import LinkMesh, bvh_of
 from lime_planner.robot.model import Robot
-
-Array = npt.NDArray[np.float64]
 
 _BOXES: WeakKeyDictionary[Robot, LinkBoxes] = WeakKeyDictionary()
 _GRIDS: WeakKeyDictionary[Robot, LinkGrids] = WeakKeyDictionary()

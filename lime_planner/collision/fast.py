@@ -11,7 +11,6 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from lime_planner.collision.distance_fields import Fields, lower_bound, sample
 from lime_planner.collision.link_shapes import Shapes
@@ -19,9 +18,8 @@ from lime_planner.collision.point_contact import leaf_near, place, points_near, 
 from lime_planner.collision.self_contact import SELF_CLEARANCE_M, self_clearance
 from lime_planner.collision.world import CAP_M, GRADED, World, hard_distance, required_clearance
 from lime_planner.core.jit import inline_kernel
+from lime_planner.core.types import Array, Int32, Int64
 from lime_planner.robot.kinematics import Chain, forward_kinematics
-
-Array = npt.NDArray[np.float64]
 
 REFINE_M = 0.002  # clearances are exact up to this much above the required one, lower bounds beyond
 DESCEND_M = 0.006  # coarse spheres clearer than this are not looked into: what they overstate would shorten the steps along edges
@@ -44,11 +42,11 @@ class Scratch(NamedTuple):
 
     poses: Array
     centres: Array
-    masks: npt.NDArray[np.int64]
+    masks: Int64
     q: Array
     force: Array
-    marks: npt.NDArray[np.int32]
-    last_mark: npt.NDArray[np.int32]
+    marks: Int32
+    last_mark: Int32
 
 
 class State(NamedTuple):

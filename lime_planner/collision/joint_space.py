@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from lime_planner.collision.compiled_check import call_check, call_repulsion, make_engine
 from lime_planner.collision.edge_cost import MAX_EDGE_STATES, EdgeMemory, arm_check, arm_edge, within_box
@@ -13,10 +12,9 @@ from lime_planner.collision.fast import LEAF, State, make_scratch, make_state
 from lime_planner.collision.link_shapes import Shapes
 from lime_planner.collision.world import World
 from lime_planner.core.jit import hot_kernel, kernel, overload
+from lime_planner.core.types import Array, Int64
 from lime_planner.planning import space as protocol
 from lime_planner.robot.kinematics import Chain
-
-Array = npt.NDArray[np.float64]
 
 
 class ArmSpace(NamedTuple):
@@ -35,14 +33,14 @@ class ArmSpace(NamedTuple):
 
     lower: Array
     upper: Array
-    counters: npt.NDArray[np.int64]
-    engine: npt.NDArray[np.int64]
+    counters: Int64
+    engine: Int64
     state: State
     q: Array
     force: Array
     memory: EdgeMemory
     lever: Array
-    pairs: npt.NDArray[np.int64]
+    pairs: Int64
     zoned: bool
     own_leaves: bool
 

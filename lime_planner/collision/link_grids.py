@@ -12,12 +12,10 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from lime_planner.core.jit import cache_root
+from lime_planner.core.types import Array, Float32, Int64
 from lime_planner.robot.meshes import LinkMesh
-
-Array = npt.NDArray[np.float64]
 
 PITCH_M = 0.00225  #: edge of a voxel
 #: A voxel's centre and any point in it are at most half a diagonal apart; 0.01 mm more for the distances' single precision.
@@ -38,9 +36,9 @@ class LinkGrids(NamedTuple):
     """
 
     origin: Array
-    size: npt.NDArray[np.int64]
-    start: npt.NDArray[np.int64]
-    values: npt.NDArray[np.float32]
+    size: Int64
+    start: Int64
+    values: Float32
     padding: float
 
 
@@ -60,7 +58,7 @@ def build_grids(links: Sequence[LinkMesh], padding_m: float) -> LinkGrids:
     return LinkGrids(origin, size, start[:-1], values, padding)
 
 
-def _cached_values(link: LinkMesh, origin: Array, size: npt.NDArray[np.int64]) -> npt.NDArray[np.float32]:
+def _cached_values(link: LinkMesh, origin: Array, size: Int64) -> Float32:
     digest = hashlib.sha256(f"{_VERSION} {PITCH_M} {origin.tolist()} {size.tolist()}".encode())
     digest.update(np.ascontiguousarray(link.vertices).tobytes())
     digest.update(np.ascontiguousarray(link.triangles).tobytes())
@@ -80,7 +78,7 @@ def _cached_values(link: LinkMesh, origin: Array, size: npt.NDArray[np.int64]) -
     return values
 
 
-def _distance_values(link: LinkMesh, origin: Array, size: npt.NDArray[np.int64]) -> npt.NDArray[np.float32]:
+def _distance_values(link: LinkMesh, origin: Array, size: Int64) -> Float32:
     import open3d as o3d
     from scipy import ndimage
 
@@ -88,7 +86,7 @@ def _distance_values(link: LinkMesh, origin: Array, size: npt.NDArray[np.int64])
     centres = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).astype(np.float32)
     scene = o3d.t.geometry.RaycastingScene()
     scene.add_triangles(link.vertices.astype(np.float32), link.triangles.astype(np.uint32))
-    distance: npt.NDArray[np.float32] = scene.compute_distance(centres).numpy()
+    distance: Float32 = scene.compute_distance(centres).numpy()
     # Every voxel that the surface passes through is a wall, so that no path from voxel to voxel leads through a closed surface.
     wall = distance <= HALF_DIAGONAL_M
     enclosed = ndimage.binary_fill_holes(wall) & ~wall

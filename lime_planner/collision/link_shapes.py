@@ -17,15 +17,13 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 import scipy.ndimage
 from scipy.spatial import cKDTree
 
 from lime_planner.core.jit import cache_root
+from lime_planner.core.types import Array, Float32, Int32, Int64
 from lime_planner.robot.kinematics import Chain
 from lime_planner.robot.model import LinkMesh, Robot
-
-Array = npt.NDArray[np.float64]
 
 _VERSION = 5  # of what is computed here; part of the cache's key
 GRID_PADDING_M = 0.03  # a grid reaches this far beyond its body
@@ -56,22 +54,22 @@ class Shapes(NamedTuple):
 
     origin: Array
     spacing: Array
-    size: npt.NDArray[np.int64]
-    offset: npt.NDArray[np.int64]
-    grid: npt.NDArray[np.float32]
+    size: Int64
+    offset: Int64
+    grid: Float32
     bound: Array
     coarse: Array
-    coarse_start: npt.NDArray[np.int64]
+    coarse_start: Int64
     fine: Array
-    fine_start: npt.NDArray[np.int64]
+    fine_start: Int64
     surface: Array
-    surface_start: npt.NDArray[np.int64]
-    pairs: npt.NDArray[np.int64]
+    surface_start: Int64
+    pairs: Int64
     lever: Array
     gripper: int
 
 
-def signed_distance_grid(vertices: Array, triangles: npt.NDArray[np.int32]) -> tuple[Array, float, npt.NDArray[np.float32]]:
+def signed_distance_grid(vertices: Array, triangles: Int32) -> tuple[Array, float, Float32]:
     """Sample the signed distance to a mesh on a grid, watertight or not.
 
     Meshes of real arms have holes and inner parts. What cannot be reached from outside without passing within about one spacing of
@@ -102,7 +100,7 @@ def signed_distance_grid(vertices: Array, triangles: npt.NDArray[np.int32]) -> t
     return low, spacing, np.where(inside, -deep, unsigned).astype(np.float32)
 
 
-def _interpolate(origin: Array, spacing: float, values: npt.NDArray[np.float32], points: Array) -> Array:
+def _interpolate(origin: Array, spacing: float, values: Float32, points: Array) -> Array:
     coordinates = ((points - origin) / spacing).T
     return np.asarray(scipy.ndimage.map_coordinates(values, coordinates, order=1, mode="nearest"), dtype=np.float64)
 
@@ -146,7 +144,7 @@ def _grow_to_cover(spheres: Array, points: Array) -> Array:
     return grown
 
 
-def _body(vertices: Array, triangles: npt.NDArray[np.int32], gripper: bool) -> dict[str, Any]:
+def _body(vertices: Array, triangles: Int32, gripper: bool) -> dict[str, Any]:
     import trimesh
 
     origin, spacing, values = signed_distance_grid(vertices, triangles)
@@ -194,7 +192,7 @@ def _body(vertices: Array, triangles: npt.NDArray[np.int32], gripper: bool) -> d
     }
 
 
-def _thin(points: Array, spacing: float) -> npt.NDArray[np.int64]:
+def _thin(points: Array, spacing: float) -> Int64:
     """Indices of one point for each cube of edge `spacing`."""
     return np.unique(np.floor(points / spacing).astype(np.int64), axis=0, return_index=True)[1]
 
@@ -220,7 +218,7 @@ def _levers(chain: Chain, vertices: Sequence[Array]) -> Array:
     return lever
 
 
-def _body_pairs(robot: Robot) -> npt.NDArray[np.int64]:
+def _body_pairs(robot: Robot) -> Int64:
     # Neighbouring bodies meet at their joint; whatever else is fixed to them turns about it without coming closer.
     pairs = {tuple(sorted((robot.links[a].joint, robot.links[b].joint))) for a, b in robot.collision_pairs}
     return np.array(sorted(p for p in pairs if p[1] - p[0] > 1), np.int64).reshape(-1, 2)

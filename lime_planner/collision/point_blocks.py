@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-Array = npt.NDArray[np.float64]
+from lime_planner.core.types import Array, Int64
 
 _MERGE_M = 0.001  # points within one cube of this edge become one
 _BLOCK_M = 0.04
@@ -29,7 +29,7 @@ class PointBlocks(NamedTuple):
     radii: Array
     centres: Array
     bounds: Array
-    start: npt.NDArray[np.int64]
+    start: Int64
     largest: float
 
 
@@ -62,7 +62,7 @@ def make_blocks(points: npt.ArrayLike, radius_m: float, reach_m: float) -> Point
     return PointBlocks(np.ascontiguousarray(cloud), radii, centres, bounds, start, float(radii.max()))
 
 
-def _cubes(cloud: Array, edge_m: float) -> npt.NDArray[np.int64]:
+def _cubes(cloud: Array, edge_m: float) -> Int64:
     """Number the cube of a lattice that each point lies in, (N,)."""
     cells = np.floor((cloud - cloud.min(axis=0)) / edge_m).astype(np.int64)
     columns, rows = cells[:, 2].max() + 1, cells[:, 1].max() + 1

@@ -5,13 +5,9 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import numpy as np
-import numpy.typing as npt
-
 from lime_planner.collision.link_shapes import GRID_PADDING_M, Shapes
 from lime_planner.core.jit import inline_kernel
-
-Array = npt.NDArray[np.float64]
+from lime_planner.core.types import Array
 
 
 @inline_kernel

@@ -5,13 +5,11 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from lime_planner.collision.distance_fields import sample
 from lime_planner.collision.world import CAP_M
 from lime_planner.core.jit import hot_kernel
-
-Array = npt.NDArray[np.float64]
+from lime_planner.core.types import Array
 
 
 @hot_kernel

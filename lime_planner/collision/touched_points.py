@@ -10,6 +10,7 @@ import numpy.typing as npt
 from lime_planner.collision.link_shapes import Shapes
 from lime_planner.collision.point_contact import mesh_distance, place
 from lime_planner.core.jit import kernel
+from lime_planner.core.types import Bool
 from lime_planner.robot.kinematics import forward_kinematics
 from lime_planner.robot.model import Robot
 
@@ -30,9 +31,7 @@ def _touch(shapes: Any, poses: Any, points: Any, radius: float, out: Any) -> Non
                 out[p] = True
 
 
-def touched_points(
-    robot: Robot, shapes: Shapes, configurations: npt.ArrayLike, points: npt.ArrayLike, radius_m: float
-) -> npt.NDArray[np.bool_]:
+def touched_points(robot: Robot, shapes: Shapes, configurations: npt.ArrayLike, points: npt.ArrayLike, radius_m: float) -> Bool:
     """Tell which points the arm touches at each of some configurations, (K, P).
 
     Args:

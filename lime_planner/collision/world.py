@@ -6,12 +6,10 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from lime_planner.collision.distance_fields import Fields, box_distance
 from lime_planner.core.jit import inline_kernel
-
-Array = npt.NDArray[np.float64]
+from lime_planner.core.types import Array
 
 CAP_M = 0.5  # larger clearances are reported as this
 BINARY, GRADED = 0, 1  # leaf modes

@@ -7,9 +7,8 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from lime_planner.core.errors import ProblemError
+from lime_planner.core.types import Array
 from lime_planner.core.validation import floats
-
-Array = npt.NDArray[np.float64]
 
 
 def pose_to_matrix(pose: npt.ArrayLike) -> Array:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-Array = npt.NDArray[np.float64]
+from lime_planner.core.types import Array
 
 
 def clean_name(frame: str) -> str:

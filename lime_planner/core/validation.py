@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lime_planner.core.errors import ProblemError
+from lime_planner.core.types import Array
 
 _LONGEST = 120  # of a value in a sentence
 
@@ -18,7 +19,7 @@ def shown(value: Any) -> str:
     return text if len(text) <= _LONGEST else f"{text[:_LONGEST]}…"
 
 
-def floats(name: str, value: npt.ArrayLike) -> npt.NDArray[np.float64]:
+def floats(name: str, value: npt.ArrayLike) -> Array:
     """Return what was given as an array of its own, whatever its shape.
 
     Args:
@@ -34,7 +35,7 @@ def floats(name: str, value: npt.ArrayLike) -> npt.NDArray[np.float64]:
         raise ProblemError(f"{name} must be numbers, got {shown(value)}") from None
 
 
-def finite_vector(name: str, value: npt.ArrayLike, n: int) -> npt.NDArray[np.float64]:
+def finite_vector(name: str, value: npt.ArrayLike, n: int) -> Array:
     """Return what was given as n finite numbers, (n,).
 
     Args:

@@ -12,13 +12,12 @@ import numpy.typing as npt
 from lime_planner.collision.exact import ExactChecker
 from lime_planner.core.geometry import pose_to_matrix
 from lime_planner.core.parameters import settings_from
+from lime_planner.core.types import Array
 from lime_planner.experiments.problems import SceneSpec, pipeline_of, scene_of
 from lime_planner.robot.ik import solve_ik
 from lime_planner.robot.model import Robot, home
 from lime_planner.scene.plants.grasp_targets import HIDDEN_REACH_M, canopy_targets, lime_targets
 from lime_planner.scene.scene import Scene
-
-Array = npt.NDArray[np.float64]
 
 SPARE_M = 0.001  #: a grasp counts as possible with this much room to the nearest stem ball, by the exact meshes
 DRAWS = 6  #: grasps tried for each lime

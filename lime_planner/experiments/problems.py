@@ -14,6 +14,7 @@ from lime_planner.collision.joint_space import ArmSpace
 from lime_planner.core.errors import ParameterError, ProblemError
 from lime_planner.core.geometry import pose_to_matrix
 from lime_planner.core.parameters import Settings, settings_from
+from lime_planner.core.types import Array
 from lime_planner.pipeline.goals import Goals, find_goals, sampling_box
 from lime_planner.pipeline.obstacles import Obstacles
 from lime_planner.pipeline.pipeline import Pipeline
@@ -22,8 +23,6 @@ from lime_planner.robot.model import load_robot
 from lime_planner.scene.files import load_scene
 from lime_planner.scene.plants.generator import PlantOptions, generate_plant
 from lime_planner.scene.scene import Scene
-
-Array = npt.NDArray[np.float64]
 
 SCAN_OFFSET_M = (0.55, 0.0, 0.05)  # a scan's stem foot, in front of the arm
 SEEDLING_HEIGHT_M = 0.1  # a lower scan is a seedling ...

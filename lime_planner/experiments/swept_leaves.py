@@ -16,14 +16,12 @@ import numpy.typing as npt
 
 from lime_planner.core.errors import SceneError
 from lime_planner.core.jit import kernel
+from lime_planner.core.types import Array, Bool, Int64
 from lime_planner.motion.trajectory import Trajectory
 from lime_planner.robot.meshes import LinkMesh, bvh_of
 from lime_planner.robot.model import Robot
 from lime_planner.scene.scene import Scene
 from lime_planner.scene.voxels import thin
-
-Array = npt.NDArray[np.float64]
-Indices = npt.NDArray[np.int64]
 
 STEP_M = 0.002  #: no point of the arm moves farther between two looks
 PATCH_M = 0.004  #: edge of the patch of leaf that a scan's point stands for
@@ -41,7 +39,7 @@ class Swept:
         configurations: how many were looked at.
     """
 
-    leaves: Indices
+    leaves: Int64
     area_m2: float
     configurations: int
 
@@ -104,7 +102,7 @@ def _near_box(pose: Any, low: Any, high: Any, places: Any, reach: Any, way: floa
     return count
 
 
-def leaf_cells(triangles: Array, cell_m: float = CELL_M) -> tuple[Array, Array, Indices]:
+def leaf_cells(triangles: Array, cell_m: float = CELL_M) -> tuple[Array, Array, Int64]:
     """Cut triangles (L, 3, 3) [m] into similar ones with edges up to `cell_m`.
 
     Returns:
@@ -136,7 +134,7 @@ class _Sweeper:
         self.boxes = [(link.vertices.min(axis=0), link.vertices.max(axis=0)) for link in robot.links]
         self.surfaces = [surface_of(link) for link in robot.links]
 
-    def visits(self, motion: Motion, places: Array, reach: Array) -> Iterator[tuple[int, Array, Indices, Array, float]]:
+    def visits(self, motion: Motion, places: Array, reach: Array) -> Iterator[tuple[int, Array, Int64, Array, float]]:
         """Yield link, pose, balls that may touch it there, all balls' `look_at` (to be raised by the caller), and the link's way."""
         look_at = np.zeros((len(self.boxes), len(places)))
         found = np.empty(len(places), dtype=np.int64)
@@ -147,7 +145,7 @@ class _Sweeper:
                 if count:
                     yield i, pose, found[:count], look_at, way
 
-    def reached(self, motion: Motion, places: Array, radius_m: float) -> npt.NDArray[np.bool_]:
+    def reached(self, motion: Motion, places: Array, radius_m: float) -> Bool:
         """Tell which of the places (C, 3) [m] come within a radius of a link's surface."""
         swept = np.zeros(len(places), dtype=np.bool_)
         for i, pose, near, look_at, way in self.visits(motion, places, np.full(len(places), radius_m)):
@@ -200,11 +198,11 @@ class LeafTruth:
         area = float(areas[self._sweeper.reached(motion, centres, STEP_M / 2.0)].sum())
         return Swept(self._numbers[cut], area, len(motion.frames))
 
-    def touched_at(self, q: npt.ArrayLike) -> Indices:
+    def touched_at(self, q: npt.ArrayLike) -> Int64:
         """Return the numbers of the leaves that a link's surface cuts at one configuration (n,)."""
         return np.asarray(self._numbers[self._cut(motion_samples(self._sweeper.robot, np.atleast_2d(np.asarray(q, dtype=np.float64))))])
 
-    def _cut(self, motion: Motion) -> Indices:
+    def _cut(self, motion: Motion) -> Int64:
         fcl, request = self._fcl, self._fcl.CollisionRequest()
         touched = np.zeros(len(self._numbers), dtype=np.bool_)
         for i, pose, near, look_at, _ in self._sweeper.visits(motion, self._centres, self._radii):

@@ -20,7 +20,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-Array = npt.NDArray[np.float64]
+from lime_planner.core.types import Array, Int64
 
 _MIDDLE = 0.375  # distance of the curve's middle from the corner, in units of d sin(θ/2)
 # Bézier control points to polynomial coefficients, lowest power first (binomial expansion of degree 5).
@@ -37,7 +37,7 @@ _TO_POWERS = np.array(
 )
 
 
-def thin(waypoints: Array, tolerance: float) -> tuple[npt.NDArray[np.int64], float]:
+def thin(waypoints: Array, tolerance: float) -> tuple[Int64, float]:
     """Choose the waypoints of a polyline that stays within `tolerance` of the given one, and the given one of it.
 
     Distances are to the chord, ends included: a run to and fro beyond the tolerance is kept, even on one line.

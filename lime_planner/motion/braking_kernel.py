@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 from lime_planner.core.jit import kernel
-
-Array = npt.NDArray[np.float64]
+from lime_planner.core.types import Array
 
 _SLACK = 1e-3  # the running motion's own cubics may exceed the limits by rounding
 _CHOICES = 17  # of the next pace

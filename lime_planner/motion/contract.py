@@ -14,10 +14,9 @@ import numpy as np
 import numpy.typing as npt
 
 from lime_planner.core.errors import ProblemError
+from lime_planner.core.types import Array, Bool
 from lime_planner.motion.timing import MINIMUM_DT_S
 from lime_planner.motion.trajectory import Trajectory
-
-Array = npt.NDArray[np.float64]
 
 START_TOLERANCE_RAD = 0.01  #: between point 0 and the measured configuration, turns counted
 POSITION_TOLERANCE_RAD = 1e-6  #: beyond a joint limit: rounding
@@ -178,7 +177,7 @@ def _motion(trajectory: Trajectory, velocity_limits: Array, acceleration_limits:
     return found
 
 
-def _worst(bad: npt.NDArray[np.bool_], value: Array) -> list[tuple[int, int]]:
+def _worst(bad: Bool, value: Array) -> list[tuple[int, int]]:
     """Return (joint, row) of the largest value marked bad, for every joint that has one."""
     marked = np.where(bad, value, -np.inf)
     return [(int(joint), int(np.argmax(marked[:, joint]))) for joint in np.flatnonzero(bad.any(axis=0))]

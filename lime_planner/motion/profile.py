@@ -14,9 +14,8 @@ from toppra.algorithm import TOPPRA
 from toppra.constraint import DiscretizationType, JointAccelerationConstraint, LinearConstraint
 
 from lime_planner.core.errors import LimePlannerError
+from lime_planner.core.types import Array
 from lime_planner.motion.blend import BlendedPath
-
-Array = npt.NDArray[np.float64]
 
 # It reports every numerical retry as a warning; what matters of that is checked on its result below.
 logging.getLogger("toppra").setLevel(logging.CRITICAL)

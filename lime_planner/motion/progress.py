@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
+from lime_planner.core.types import Array
 from lime_planner.motion.trajectory import Trajectory
-
-Array = npt.NDArray[np.float64]
 
 _STEP_S = 0.005  #: between two moments of the plan that are compared with the measurement
 _MOST_MOMENTS = 1000

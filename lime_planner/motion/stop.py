@@ -16,8 +16,6 @@ from lime_planner.core.errors import ProblemError
 from lime_planner.motion.braking_kernel import brake
 from lime_planner.motion.trajectory import Trajectory
 
-Array = npt.NDArray[np.float64]
-
 STOP_TIME_S = 0.2  #: time of the single point of a Kinova stop
 
 

@@ -23,13 +23,13 @@ import numpy as np
 import numpy.typing as npt
 
 from lime_planner.core.errors import LimePlannerError, ProblemError
+from lime_planner.core.types import Array, Int64
 from lime_planner.motion.blend import BlendedPath, thin
 from lime_planner.motion.trajectory import Trajectory
 
 if TYPE_CHECKING:
     from lime_planner.motion.profile import Profile
 
-Array = npt.NDArray[np.float64]
 SpeedScale = Callable[[Array], Array]
 
 MINIMUM_DT_S = 0.01  #: the Kinova driver moves on by at most one point in 10 ms and overshoots with denser ones
@@ -119,7 +119,7 @@ def _lengths(corners: Array) -> Array:
     return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(corners, axis=0), axis=1))])
 
 
-def _apart(corners: Array, kept: npt.NDArray[np.int64]) -> list[int]:
+def _apart(corners: Array, kept: Int64) -> list[int]:
     """Return the indices of `kept` without those at the place of the one before; fewer than two where there is no motion."""
     chosen = [int(kept[0])]
     for index in kept[1:]:

@@ -8,8 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lime_planner.core.errors import ProblemError
-
-Array = npt.NDArray[np.float64]
+from lime_planner.core.types import Array
 
 
 @dataclass(frozen=True)

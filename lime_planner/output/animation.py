@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from lime_planner.core.atomic_files import replacing
 from lime_planner.core.errors import ParameterError
+from lime_planner.core.types import Array, Bool, Float32, Int64, UInt8
 from lime_planner.output.picture import ARM, FREE_PATH, LEAFY_PATH, LIME, STEM, arm_mesh, in_sight, leaf_layer
 from lime_planner.output.render import Layer, View, cloud_layer, compose, halved, mesh_layer
 from lime_planner.output.timeline import Insight, look_into
@@ -34,8 +35,7 @@ _COMMON_COLOURS = 84
 _IN_FRONT_M = 10.0
 _FINER = 0.004  # spacing of the points that the path is drawn with [m]
 
-Float64 = npt.NDArray[np.float64]
-Picture = npt.NDArray[np.uint8]
+Picture = UInt8
 
 
 def animate(
@@ -116,13 +116,13 @@ class _Stage:
         image = halved(compose(plant, solid, _LEAF_OVER_ARM))
         return self._captioned((255.0 * image).clip(0, 255).astype(np.uint8), t_s, now)
 
-    def _lit(self, marks: npt.NDArray[np.bool_], colour: tuple[float, float, float], lift_m: float) -> Layer:
+    def _lit(self, marks: Bool, colour: tuple[float, float, float], lift_m: float) -> Layer:
         key = marks.tobytes() + bytes(str(colour), "ascii")
         if key not in self._touched:
             self._touched[key] = _leaves(self._view, self._scene, self._insight.leaf_points[marks], colour, lift_m)
         return self._touched[key]
 
-    def _captioned(self, image: Picture, t_s: float, now: npt.NDArray[np.bool_]) -> Picture:
+    def _captioned(self, image: Picture, t_s: float, now: Bool) -> Picture:
         from matplotlib import get_data_path
         from PIL import Image, ImageDraw, ImageFont
 
@@ -148,18 +148,18 @@ class _Stage:
         return np.asarray(canvas)
 
 
-def _touched_corners(scene: Scene, points: npt.NDArray[np.int64]) -> npt.NDArray[np.float32]:
+def _touched_corners(scene: Scene, points: Int64) -> Float32:
     """Return the triangles (T, 3, 3) of the leaves that some leaf points lie on; none where leaves are not known."""
     if scene.leaf_ids is None or scene.leaf_triangles is None or scene.leaf_triangle_ids is None:
         return np.zeros((0, 3, 3), np.float32)
     return scene.leaf_triangles[np.isin(scene.leaf_triangle_ids, np.unique(scene.leaf_ids[points]))]
 
 
-def _view(clouds: list[npt.NDArray[Any]], goal: Float64, touched: npt.NDArray[np.float32], width: int) -> View:
+def _view(clouds: list[npt.NDArray[Any]], goal: Array, touched: Float32, width: int) -> View:
     """Choose a camera: beside the way to the goal, a little above it, where most of the touched leaves is seen; all in sight."""
     ahead = float(np.arctan2(goal[1], goal[0]))
     normals = np.cross(touched[:, 1] - touched[:, 0], touched[:, 2] - touched[:, 0])
-    best: tuple[float, Float64, Float64] | None = None
+    best: tuple[float, Array, Array] | None = None
     for elevation in _ELEVATIONS_RAD:
         for turn in ahead + _BESIDE_RAD:
             back = np.array([np.cos(turn), np.sin(turn), 0.0])  # from the plant towards the eye, seen from above
@@ -175,7 +175,7 @@ def _view(clouds: list[npt.NDArray[Any]], goal: Float64, touched: npt.NDArray[np
     return View(right, up, (low[0], high[0], low[1], high[1]), float(high[0] - low[0]) / (2 * width))
 
 
-def _leaves(view: View, scene: Scene, points: npt.NDArray[np.int64], colour: tuple[float, float, float], lift_m: float) -> Layer:
+def _leaves(view: View, scene: Scene, points: Int64, colour: tuple[float, float, float], lift_m: float) -> Layer:
     """Draw whole leaves where they are known, else points, a little nearer to the eye than they are."""
     if scene.leaf_ids is not None and scene.leaf_triangles is not None and scene.leaf_triangle_ids is not None:
         corners = _touched_corners(scene, points).reshape(-1, 3)
@@ -185,14 +185,14 @@ def _leaves(view: View, scene: Scene, points: npt.NDArray[np.int64], colour: tup
     return Layer(layer.colour, layer.height_m + np.float32(lift_m))
 
 
-def _flat(view: View, points: Float64, colour: tuple[float, float, float]) -> Layer:
+def _flat(view: View, points: Array, colour: tuple[float, float, float]) -> Layer:
     """Draw points in one colour, without shading."""
     layer = cloud_layer(view, points, colour, (0.004, 0.004))
     layer.colour[np.isfinite(layer.height_m)] = colour
     return layer
 
 
-def _dense(line: Float64, wanted: npt.NDArray[np.bool_]) -> Float64:
+def _dense(line: Array, wanted: Bool) -> Array:
     """Return points close together along the parts of a line (K, 3) whose ends are wanted (K,)."""
     pieces = [np.zeros((0, 3))]
     for a, b, yes in zip(line[:-1], line[1:], wanted[1:], strict=True):

@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from lime_planner.core.atomic_files import replacing
 from lime_planner.core.errors import ParameterError
+from lime_planner.core.types import Array, Float32, Int64
 from lime_planner.output.render import Image, Layer, View, cloud_layer, compose, halved, mesh_layer
 from lime_planner.robot.model import Robot
 from lime_planner.scene.scene import Scene
@@ -34,8 +35,6 @@ _START_OPACITY = 0.38
 _LEAF_OVER_ARM = 0.42  #: leaves in front of the arm let it shine through
 _MARGIN_M = 0.06
 _PANEL_PIXELS = 800  #: height of the views, before halving
-
-Float64 = npt.NDArray[np.float64]
 
 
 def draw_picture(
@@ -123,7 +122,7 @@ def _write(figure: Any, path: Path) -> Path:
     return path
 
 
-def arm_mesh(robot: Robot, q: Float64) -> tuple[Float64, npt.NDArray[np.int64]]:
+def arm_mesh(robot: Robot, q: Array) -> tuple[Array, Int64]:
     """Return the whole arm at q as one mesh in the planning frame: vertices (V, 3), triangles (T, 3)."""
     poses = robot.link_poses(q)
     vertices, triangles, count = [], [], 0
@@ -135,21 +134,21 @@ def arm_mesh(robot: Robot, q: Float64) -> tuple[Float64, npt.NDArray[np.int64]]:
     return np.concatenate(vertices), np.concatenate(triangles)
 
 
-def in_sight(scene: Scene, robot: Robot) -> dict[str, npt.NDArray[np.float32]]:
+def in_sight(scene: Scene, robot: Robot) -> dict[str, Float32]:
     """Return the points of each class that lie near the arm's reach; a wall of the greenhouse would make the plant a dot."""
     limit = robot.reach_m + 0.3
     clouds = {"leaf": scene.leaf_points, "stem": scene.stem_points, "fruit": scene.fruit_points}
     return {name: points[np.linalg.norm(points, axis=1) < limit] for name, points in clouds.items()}
 
 
-def _bounds(clouds: Sequence[npt.NDArray[Any]]) -> tuple[Float64, Float64]:
+def _bounds(clouds: Sequence[npt.NDArray[Any]]) -> tuple[Array, Array]:
     held = [np.asarray(points, dtype=np.float64) for points in clouds if len(points)]
     low = np.min([points.min(axis=0) for points in held], axis=0) - _MARGIN_M
     high = np.max([points.max(axis=0) for points in held], axis=0) + _MARGIN_M
     return low, high
 
 
-def _views(low: Float64, high: Float64, target: Float64 | None) -> list[tuple[str, tuple[str, str], View]]:
+def _views(low: Array, high: Array, target: Array | None) -> list[tuple[str, tuple[str, str], View]]:
     """Return the side view, across the direction from the base to the target, and the top view, both to one scale."""
     x, y, z = np.eye(3)
     pixel = float(max(high[2] - low[2], high[1] - low[1])) / _PANEL_PIXELS
@@ -161,7 +160,7 @@ def _views(low: Float64, high: Float64, target: Float64 | None) -> list[tuple[st
     return [side, ("from above", ("x", "y"), View(x, y, (low[0], high[0], low[1], high[1]), pixel))]
 
 
-def _render(view: View, shown: dict[str, npt.NDArray[np.float32]], scene: Scene, arms: list[tuple[Float64, Any]]) -> Image:
+def _render(view: View, shown: dict[str, Float32], scene: Scene, arms: list[tuple[Array, Any]]) -> Image:
     """Draw plant and arms at twice the picture's resolution and halve it."""
     fine = View(view.right, view.up, view.extent, 0.5 * view.pixel_m)
     plant = [
@@ -174,7 +173,7 @@ def _render(view: View, shown: dict[str, npt.NDArray[np.float32]], scene: Scene,
     return halved(compose(plant, list(zip(meshes, opacities, strict=True)), _LEAF_OVER_ARM))
 
 
-def leaf_layer(view: View, points: npt.NDArray[np.float32], scene: Scene) -> Layer:
+def leaf_layer(view: View, points: Float32, scene: Scene) -> Layer:
     """Draw the leaves' own triangles where they are known (each leaf a little lighter or darker), else their points."""
     if scene.leaf_triangles is None or not len(scene.leaf_triangles):
         return cloud_layer(view, points, LEAF, (0.0012, 0.0045))
@@ -185,7 +184,7 @@ def leaf_layer(view: View, points: npt.NDArray[np.float32], scene: Scene) -> Lay
     return mesh_layer(view, corners, np.arange(len(corners)).reshape(-1, 3), colours)
 
 
-def _path_colours(contact: Float64) -> tuple[Any, Any]:
+def _path_colours(contact: Array) -> tuple[Any, Any]:
     """Return colour map and norm for leaf contact."""
     from matplotlib.colors import LinearSegmentedColormap, Normalize
 
@@ -193,7 +192,7 @@ def _path_colours(contact: Float64) -> tuple[Any, Any]:
     return shades, Normalize(0.0, max(1.0, float(contact.max()) if len(contact) else 1.0))
 
 
-def _draw_path(axes: Axes, view: View, line: Float64, contact: Float64) -> None:
+def _draw_path(axes: Axes, view: View, line: Array, contact: Array) -> None:
     if len(line) < 2:
         return
     from matplotlib.collections import LineCollection
@@ -209,7 +208,7 @@ def _draw_path(axes: Axes, view: View, line: Float64, contact: Float64) -> None:
     axes.plot(*flat[0], marker="o", markersize=7, markerfacecolor="white", markeredgecolor="black", markeredgewidth=1.3, zorder=6)
 
 
-def _draw_target(axes: Axes, view: View, target: Float64) -> None:
+def _draw_target(axes: Axes, view: View, target: Array) -> None:
     """Mark the target; a line shows the direction from which the palm comes."""
     from lime_planner.core.geometry import pose_to_matrix
 
@@ -221,7 +220,7 @@ def _draw_target(axes: Axes, view: View, target: Float64) -> None:
         axes.plot(x, y, marker="+", markersize=8, markeredgecolor=colour, markeredgewidth=width, zorder=7)
 
 
-def _colour_bar(figure: Any, place: tuple[float, float, float, float], contact: Float64) -> None:
+def _colour_bar(figure: Any, place: tuple[float, float, float, float], contact: Array) -> None:
     from matplotlib.cm import ScalarMappable
 
     if not len(contact):

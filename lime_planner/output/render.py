@@ -8,8 +8,9 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial import cKDTree
 
-Image = npt.NDArray[np.float32]
-Float64 = npt.NDArray[np.float64]
+from lime_planner.core.types import Array, Float32
+
+Image = Float32
 
 #: Where the light comes from, in the image's right, up and towards-the-eye directions.
 _LIGHT = np.array([-0.45, 0.65, 0.62])
@@ -28,13 +29,13 @@ class View:
         pixel_m: size of a pixel.
     """
 
-    right: Float64
-    up: Float64
+    right: Array
+    up: Array
     extent: tuple[float, float, float, float]
     pixel_m: float
 
     @property
-    def towards(self) -> Float64:
+    def towards(self) -> Array:
         """Unit vector from the scene to the eye."""
         return np.cross(self.right, self.up)
 
@@ -44,10 +45,10 @@ class View:
         left, right, bottom, top = self.extent
         return max(1, round((top - bottom) / self.pixel_m)), max(1, round((right - left) / self.pixel_m))
 
-    def project(self, points: npt.ArrayLike) -> Float64:
+    def project(self, points: npt.ArrayLike) -> Array:
         """Return right, up and towards-the-eye coordinates (N, 3) [m] of points (N, 3)."""
-        axes: Float64 = np.stack([self.right, self.up, self.towards])
-        projected: Float64 = np.asarray(points, dtype=np.float64) @ axes.T
+        axes: Array = np.stack([self.right, self.up, self.towards])
+        projected: Array = np.asarray(points, dtype=np.float64) @ axes.T
         return projected
 
 
@@ -64,7 +65,7 @@ class Layer:
     height_m: Image
 
 
-def _shade(colour: Image, normals: Float64) -> Image:
+def _shade(colour: Image, normals: Array) -> Image:
     """Darken colours (N, 3) by the angle between normals (N, 3), in image axes, and the light; both sides are lit."""
     facing = np.where(normals[:, 2:3] < 0.0, -normals, normals)
     lit = np.clip(facing @ (_LIGHT / np.linalg.norm(_LIGHT)), 0.0, 1.0)
@@ -204,7 +205,7 @@ def _outline(layer: Layer) -> None:
     layer.colour[edge] *= 0.45
 
 
-def _normals(points: Float64) -> Float64:
+def _normals(points: Array) -> Array:
     """Estimate the surface normals (N, 3) of a cloud."""
     if len(points) < 10:
         return np.tile([0.0, 0.0, 1.0], (len(points), 1))

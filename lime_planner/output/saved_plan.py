@@ -8,18 +8,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from lime_planner.core.errors import ParameterError
 from lime_planner.core.geometry import pose_to_matrix
 from lime_planner.core.status import Status
+from lime_planner.core.types import Array
 from lime_planner.motion.trajectory import Trajectory
 from lime_planner.pipeline.result import NUMBERS, PlanResult
 from lime_planner.robot.model import Robot
 from lime_planner.scene.files import load_scene
 from lime_planner.scene.scene import Scene
-
-Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,17 +7,15 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from lime_planner.core.geometry import pose_to_matrix
+from lime_planner.core.types import Array, Bool, Float32, Int64
 from lime_planner.pipeline import Pipeline
 from lime_planner.pipeline.context import never
 from lime_planner.pipeline.goals import find_goals
 from lime_planner.pipeline.plan_record import PlanRecord
 from lime_planner.pipeline.search import search
 from lime_planner.planning.lime_star.roadmap import BLOCKED, UNKNOWN, Roadmap
-
-Array = npt.NDArray[np.float64]
 
 EDGES_SHOWN = 400  # more hide the plant
 _PIECES = 8  # straight in joint space, an edge is a curve for the tool
@@ -33,8 +31,8 @@ class Grown:
         total: edges that there were; more than E where they were thinned.
     """
 
-    segments: npt.NDArray[np.float32]
-    leafy: npt.NDArray[np.bool_]
+    segments: Float32
+    leafy: Bool
     total: int
 
 
@@ -73,7 +71,7 @@ def grow_again(pipeline: Pipeline, shown: PlanRecord, *, should_stop: Callable[[
     return Grown(np.stack([tool[:, :-1], tool[:, 1:]], axis=2), leafy[keep], len(ends))
 
 
-def _edges(tree: Any) -> tuple[Array, npt.NDArray[np.int64], npt.NDArray[np.bool_]]:
+def _edges(tree: Any) -> tuple[Array, Int64, Bool]:
     """Return configurations (V, n), edges (E, 2) between them, and which of these cost more than their length."""
     if isinstance(tree, Roadmap):
         vertices, count = int(tree.size[0]), int(tree.size[1])

@@ -5,15 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from lime_planner.collision.touched_points import touched_points
+from lime_planner.core.types import Array, Bool, Int64
 from lime_planner.motion.trajectory import Trajectory
 from lime_planner.pipeline import Pipeline
 from lime_planner.pipeline.finish import leaf_profile, sample_path
 from lime_planner.pipeline.plan_record import PlanRecord
-
-Array = npt.NDArray[np.float64]
 
 _STEP_S = 0.04  # between two samples of a motion
 _STEP_RAD = 0.03  # between two samples of a path that has no times
@@ -44,8 +42,8 @@ class Insight:
     leaf: Array
     clearance_m: Array
     cost: Array
-    leaf_points: npt.NDArray[np.int64]
-    touched: npt.NDArray[np.bool_]
+    leaf_points: Int64
+    touched: Bool
 
     @property
     def duration_s(self) -> float:

@@ -13,10 +13,9 @@ import numpy.typing as npt
 
 from lime_planner.core.errors import ProblemError
 from lime_planner.core.status import Status
+from lime_planner.core.types import Array
 from lime_planner.core.validation import floats, shown
 from lime_planner.robot.model import Robot
-
-Array = npt.NDArray[np.float64]
 
 
 class Stopped(Exception):

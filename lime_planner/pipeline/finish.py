@@ -7,7 +7,6 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from lime_planner.collision.exact import ExactChecker
 from lime_planner.collision.fast import LEAF
@@ -15,14 +14,13 @@ from lime_planner.collision.joint_space import measure
 from lime_planner.core.geometry import matrix_to_pose
 from lime_planner.core.parameters import Settings
 from lime_planner.core.status import Status
+from lime_planner.core.types import Array
 from lime_planner.motion.contract import violations
 from lime_planner.motion.timing import time_path
 from lime_planner.motion.trajectory import Trajectory
 from lime_planner.pipeline.context import Stopped
 from lime_planner.pipeline.obstacles import Obstacles
 from lime_planner.robot.model import Robot
-
-Array = npt.NDArray[np.float64]
 
 CERTIFIED_STEP_RAD = 0.01  # spacing of the exact check along a path
 MEASURED_STEP_RAD = 0.02  # spacing of the figures

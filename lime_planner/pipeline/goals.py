@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from lime_planner.collision.exact import ExactChecker
 from lime_planner.collision.fast import LEAF, SELF
@@ -13,10 +12,9 @@ from lime_planner.collision.joint_space import ArmSpace
 from lime_planner.collision.joint_space import measure as arm_measure
 from lime_planner.collision.self_contact import SELF_CLEARANCE_M
 from lime_planner.core.status import Status
+from lime_planner.core.types import Array
 from lime_planner.pipeline.obstacles import Obstacles
 from lime_planner.robot.ik import solve_ik
-
-Array = npt.NDArray[np.float64]
 
 MODEL_ERROR_M = 0.001  # a goal's clearance in the fast model must exceed what the model may be wrong by
 _BELOW_OWN_M = 0.0004  # at an anchor a little less than its own clearance is required

@@ -7,7 +7,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from lime_planner.collision.distance_fields import build_fields
 from lime_planner.collision.exact import ExactChecker
@@ -16,13 +15,11 @@ from lime_planner.collision.joint_space import ArmSpace, make_arm_space
 from lime_planner.collision.link_shapes import Shapes
 from lime_planner.collision.world import BINARY, GRADED, World, empty_world
 from lime_planner.core.parameters import Settings
+from lime_planner.core.types import Array, Float32
 from lime_planner.pipeline.context import ask, never
 from lime_planner.robot.model import Robot
 from lime_planner.scene.scene import Scene
 from lime_planner.scene.voxels import thin
-
-Array = npt.NDArray[np.float64]
-Float32 = npt.NDArray[np.float32]
 
 LEAF_VOXEL_M = 0.004  # leaves are thinned to this: about the leaf points' own radius
 _BEYOND_REACH_M = 0.1

@@ -13,6 +13,7 @@ from lime_planner.collision.exact import ExactChecker
 from lime_planner.collision.link_shapes import Shapes, build_shapes
 from lime_planner.core.parameters import PLANNERS, Settings, settings_from
 from lime_planner.core.status import Status
+from lime_planner.core.types import Array
 from lime_planner.pipeline import recheck as follow
 from lime_planner.pipeline.context import Clock, Stopped, ask, checked_deadline, checked_start, checked_target, never
 from lime_planner.pipeline.finish import CERTIFIED_STEP_RAD, hit_of, path_figures, sample_path
@@ -24,8 +25,6 @@ from lime_planner.planning.lime_star.planner import warm_up as warm_up_search
 from lime_planner.robot.model import Robot, home
 from lime_planner.scene import voxels
 from lime_planner.scene.scene import Scene
-
-Array = npt.NDArray[np.float64]
 
 _FINISH_S = 0.25  # of a deadline, left for certificate and timing
 _RETRY_MARGIN_M = 0.003  # added to the margin when the exact check refuses a path

@@ -4,14 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-import numpy.typing as npt
-
 from lime_planner.core.parameters import Settings
+from lime_planner.core.types import Array
 from lime_planner.pipeline.result import PlanResult
 from lime_planner.scene.scene import Scene
-
-Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,14 +13,13 @@ from lime_planner.collision.exact import ExactChecker
 from lime_planner.core.errors import ProblemError
 from lime_planner.core.parameters import Settings
 from lime_planner.core.status import Status
+from lime_planner.core.types import Array
 from lime_planner.core.validation import floats
 from lime_planner.motion.trajectory import Trajectory
 from lime_planner.pipeline.context import Clock, Stopped, ask, never
 from lime_planner.pipeline.finish import CERTIFIED_STEP_RAD, contract_violations, hit_of, make_trajectory, path_figures, sample_path
 from lime_planner.pipeline.obstacles import Obstacles
 from lime_planner.pipeline.result import PlanResult
-
-Array = npt.NDArray[np.float64]
 
 _CLOSE_TOLERANCE_RAD = 0.001  # of corners, where the motion touched something with the tolerance of the settings
 

@@ -10,16 +10,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from lime_planner.core.atomic_files import write_json
 from lime_planner.core.geometry import matrix_to_pose
 from lime_planner.core.parameters import PARAMETERS, Settings
 from lime_planner.core.status import Status
+from lime_planner.core.types import Array
 from lime_planner.motion.trajectory import Trajectory
 from lime_planner.robot.model import Robot
-
-Array = npt.NDArray[np.float64]
 
 #: What is shown of a plan: name of the figure, words, unit, factor from the figure's unit, decimals.
 ROWS: tuple[tuple[str, str, str, float, int], ...] = (

@@ -6,18 +6,14 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-import numpy.typing as npt
-
 from lime_planner.core.parameters import Settings
 from lime_planner.core.status import Status
+from lime_planner.core.types import Array
 from lime_planner.pipeline.goals import Goals, sampling_box
 from lime_planner.pipeline.obstacles import Obstacles
 from lime_planner.planning.lime_star.options import LimeOptions
 from lime_planner.planning.lime_star.planner import plan_lime
 from lime_planner.planning.rrt_star.planner import PaperOptions, plan_paper
-
-Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,9 +16,9 @@ from typing import Any
 
 import numba.types
 import numpy as np
-import numpy.typing as npt
 
 from lime_planner.core.jit import inline_kernel, overload
+from lime_planner.core.types import Array
 
 N_STATES = 0  #: counter: configurations evaluated one by one
 N_EDGES = 1  #: counter: edges evaluated
@@ -30,7 +30,7 @@ def is_space(numba_type: Any, space_class: type) -> bool:
     return isinstance(numba_type, numba.types.NamedTuple) and numba_type.instance_class is space_class
 
 
-def evaluate(space: Any, q: npt.NDArray[np.float64]) -> float:
+def evaluate(space: Any, q: Array) -> float:
     """Evaluate one configuration.
 
     Args:
@@ -44,7 +44,7 @@ def evaluate(space: Any, q: npt.NDArray[np.float64]) -> float:
     raise NotImplementedError("only inside compiled code; see lime_planner.planning.space")
 
 
-def edge(space: Any, a: npt.NDArray[np.float64], b: npt.NDArray[np.float64], weight: float, bound: float) -> float:
+def edge(space: Any, a: Array, b: Array, weight: float, bound: float) -> float:
     """Integrate the cost of the straight edge a → b: J = length + weight · ∫ leaf intensity ds, stems certified along it.
 
     Args:
@@ -60,7 +60,7 @@ def edge(space: Any, a: npt.NDArray[np.float64], b: npt.NDArray[np.float64], wei
     raise NotImplementedError("only inside compiled code; see lime_planner.planning.space")
 
 
-def repulsion(space: Any, q: npt.NDArray[np.float64], d_star: float, k_leaf: float, k_stem: float, force: npt.NDArray[np.float64]) -> float:
+def repulsion(space: Any, q: Array, d_star: float, k_leaf: float, k_stem: float, force: Array) -> float:
     """Add the repulsive force -∇U_rep at q (equation 4, a gain for each class) to `force` (n,) and return the smallest distance.
 
     The distance is the plane's, or the smallest workspace distance between arm and cloud [m]; it is 0 or less inside an obstacle,
@@ -69,7 +69,7 @@ def repulsion(space: Any, q: npt.NDArray[np.float64], d_star: float, k_leaf: flo
     raise NotImplementedError("only inside compiled code; see lime_planner.planning.space")
 
 
-def distance(space: Any, a: npt.NDArray[np.float64], b: npt.NDArray[np.float64]) -> float:
+def distance(space: Any, a: Array, b: Array) -> float:
     """Distance between two configurations; a metric, and a lower bound of every edge's cost."""
     raise NotImplementedError("only inside compiled code; see lime_planner.planning.space")
 

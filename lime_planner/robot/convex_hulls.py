@@ -7,15 +7,16 @@ from weakref import WeakKeyDictionary
 import numpy as np
 import numpy.typing as npt
 
+from lime_planner.core.types import Array, Float32
 from lime_planner.robot.meshes import LinkMesh
 from lime_planner.robot.model import Robot
 
 _DIRECTIONS = 48  #: in which a link's outermost vertex is kept
 
-_HULLS: WeakKeyDictionary[LinkMesh, npt.NDArray[np.float64]] = WeakKeyDictionary()
+_HULLS: WeakKeyDictionary[LinkMesh, Array] = WeakKeyDictionary()
 
 
-def arm_hull(robot: Robot, q: npt.ArrayLike) -> npt.NDArray[np.float32]:
+def arm_hull(robot: Robot, q: npt.ArrayLike) -> Float32:
     """Return the arm at a configuration as triangles (T, 3, 3) in the planning frame [m].
 
     Args:
@@ -27,7 +28,7 @@ def arm_hull(robot: Robot, q: npt.ArrayLike) -> npt.NDArray[np.float32]:
     return np.concatenate([np.zeros((0, 3, 3)), *parts]).astype(np.float32)
 
 
-def _hull(link: LinkMesh) -> npt.NDArray[np.float64]:
+def _hull(link: LinkMesh) -> Array:
     """Return triangles (T, 3, 3) in the frame of the link's joint, computed once for each link."""
     from scipy.spatial import ConvexHull, QhullError
 
@@ -42,7 +43,7 @@ def _hull(link: LinkMesh) -> npt.NDArray[np.float64]:
     return kept
 
 
-def _directions() -> npt.NDArray[np.float64]:
+def _directions() -> Array:
     """Spread directions evenly over the sphere, (D, 3), by the golden angle."""
     k = np.arange(_DIRECTIONS) + 0.5
     z, angle = 1.0 - 2.0 * k / _DIRECTIONS, np.pi * (1.0 + np.sqrt(5.0)) * k

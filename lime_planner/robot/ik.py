@@ -16,10 +16,9 @@ import numpy as np
 import numpy.typing as npt
 
 from lime_planner.core.errors import ProblemError
+from lime_planner.core.types import Array, Int64
 from lime_planner.robot.ik_kernels import pose_error, solve_many
 from lime_planner.robot.model import Robot
-
-Array = npt.NDArray[np.float64]
 
 TURN = 2.0 * np.pi
 POSITION_TOLERANCE_M = 1e-5
@@ -46,7 +45,7 @@ class IkResult:
     """
 
     solutions: Array
-    branches: npt.NDArray[np.int64]
+    branches: Int64
     residuals: Array
     reason: Literal["unreachable", "limits"] | None
     detail: str

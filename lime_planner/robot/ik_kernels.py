@@ -5,12 +5,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import numpy.typing as npt
 
 from lime_planner.core.jit import kernel
+from lime_planner.core.types import Array
 from lime_planner.robot.kinematics import Chain, forward_kinematics, tool_jacobian, tool_pose
-
-Array = npt.NDArray[np.float64]
 
 _LENGTH_M = 0.3  # position errors are divided by this, so that they weigh like angles on an arm of about a metre
 _MAX_STEP_RAD = 1.0

@@ -9,11 +9,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from lime_planner.core.jit import hot_kernel
-
-Array = npt.NDArray[np.float64]
+from lime_planner.core.types import Array, UInt8
 
 
 class Chain(NamedTuple):
@@ -28,11 +26,11 @@ class Chain(NamedTuple):
 
     placements: Array
     axes: Array
-    prismatic: npt.NDArray[np.uint8]
+    prismatic: UInt8
     tool: Array
 
 
-def make_chain(placements: Array, axes: Array, prismatic: npt.NDArray[np.uint8], tool: Array) -> tuple[Chain, Array]:
+def make_chain(placements: Array, axes: Array, prismatic: UInt8, tool: Array) -> tuple[Chain, Array]:
     """Build a chain from joints with any axes by turning every joint frame until its axis is z.
 
     Args:

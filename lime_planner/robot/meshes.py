@@ -7,11 +7,9 @@ from typing import Any
 from weakref import WeakKeyDictionary
 
 import numpy as np
-import numpy.typing as npt
 
 from lime_planner.core.errors import RobotError
-
-Array = npt.NDArray[np.float64]
+from lime_planner.core.types import Array, Int32
 
 _SEGMENTS = 48  # of a cylinder's rim: the circumscribed prism is 0.2 % wider than the cylinder
 _SUBDIVISIONS = 3  # of the icosahedron that becomes a sphere: 1280 triangles, 0.7 % wider than the sphere
@@ -35,7 +33,7 @@ class LinkMesh:
     name: str
     joint: int
     vertices: Array
-    triangles: npt.NDArray[np.int32]
+    triangles: Int32
     gripper: bool
 
 
@@ -53,7 +51,7 @@ def bvh_of(link: LinkMesh) -> Any:
     return model
 
 
-def triangulate(shape: Any, name: str) -> tuple[Array, npt.NDArray[np.int32]]:
+def triangulate(shape: Any, name: str) -> tuple[Array, Int32]:
     """Turn one of Pinocchio's (Coal's) collision shapes into vertices (V, 3) [m] and triangles (T, 3).
 
     Meshes are taken as they are, duplicate vertices merged. Cylinders, spheres and capsules become circumscribed polyhedra: never
@@ -90,7 +88,7 @@ def triangulate(shape: Any, name: str) -> tuple[Array, npt.NDArray[np.int32]]:
     return np.array(mesh.vertices, dtype=np.float64), np.array(mesh.faces, dtype=np.int32)
 
 
-def join_meshes(parts: list[tuple[Array, npt.NDArray[np.int32]]]) -> tuple[Array, npt.NDArray[np.int32]]:
+def join_meshes(parts: list[tuple[Array, Int32]]) -> tuple[Array, Int32]:
     """Concatenate meshes given in the same frame."""
     offsets = np.cumsum([0] + [len(vertices) for vertices, _ in parts[:-1]])
     vertices = np.concatenate([vertices for vertices, _ in parts])

@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lime_planner.core.errors import RobotError
+from lime_planner.core.types import Array, Bool
 from lime_planner.robot.builtin import BUILTIN_ARMS, TOOL_RPY, read_builtin, share_directories
 from lime_planner.robot.kinematics import Chain, forward_kinematics, tool_pose
 from lime_planner.robot.meshes import LinkMesh
@@ -24,8 +25,6 @@ from lime_planner.robot.serial_chain import read_tree
 from lime_planner.robot.urdf import parse_urdf, resolve_meshes, set_joint_rpy
 
 __all__ = ["LinkMesh", "Robot", "home", "load_robot", "robot_from_urdf"]
-
-Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -54,7 +53,7 @@ class Robot:
     joint_names: tuple[str, ...]
     lower: Array
     upper: Array
-    continuous: npt.NDArray[np.bool_]
+    continuous: Bool
     velocity_limits: Array
     acceleration_limits: Array
     planning_frame: str

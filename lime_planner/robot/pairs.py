@@ -5,12 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 
+from lime_planner.core.types import Array
 from lime_planner.robot.kinematics import Chain, forward_kinematics
 from lime_planner.robot.meshes import LinkMesh, bvh_of
-
-Array = npt.NDArray[np.float64]
 
 _SAMPLES = 200
 _ALWAYS = 0.95  # as in MoveIt's setup assistant: more often in contact than this is contact by design

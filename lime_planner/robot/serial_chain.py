@@ -8,13 +8,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from lime_planner.core.errors import RobotError
+from lime_planner.core.types import Array, Bool, Int32
 from lime_planner.robot.kinematics import Chain, make_chain
 from lime_planner.robot.meshes import LinkMesh, join_meshes, triangulate
-
-Array = npt.NDArray[np.float64]
 
 #: Where the URDF gives no acceleration limit [rad/s²]: the default of MoveIt's time parameterisation, slow for any arm.
 DEFAULT_ACCELERATION = 1.0
@@ -35,7 +33,7 @@ class ArmTree:
     joint_names: tuple[str, ...]
     lower: Array
     upper: Array
-    continuous: npt.NDArray[np.bool_]
+    continuous: Bool
     velocity_limits: Array
     acceleration_limits: Array
     planning_frame: str
@@ -266,7 +264,7 @@ def _read_chain(model: Any, T_planning_root: Any, T_last_tool: Any) -> tuple[Cha
 
 
 def _read_links(geometry: Any, model: Any, T_planning_root: Any, turns: Array) -> tuple[LinkMesh, ...]:
-    parts: dict[str, list[tuple[Array, npt.NDArray[np.int32]]]] = {}
+    parts: dict[str, list[tuple[Array, Int32]]] = {}
     joint_of: dict[str, int] = {}
     for shape in geometry.geometryObjects:
         link = model.frames[shape.parentFrame].name
@@ -284,7 +282,7 @@ def _read_links(geometry: Any, model: Any, T_planning_root: Any, turns: Array) -
     return tuple(LinkMesh(name, joint_of[name], *join_meshes(parts[name]), gripper=joint_of[name] == last) for name in parts)
 
 
-def _read_limits(joints: _Joints, names: Sequence[str]) -> tuple[Array, Array, npt.NDArray[np.bool_], Array, Array]:
+def _read_limits(joints: _Joints, names: Sequence[str]) -> tuple[Array, Array, Bool, Array, Array]:
     n = len(names)
     lower, upper = np.full(n, -np.inf), np.full(n, np.inf)
     continuous = np.zeros(n, dtype=np.bool_)

@@ -21,9 +21,8 @@ from lime_planner.core.errors import ProblemError
 from lime_planner.core.geometry import matrix_to_pose, pose_to_matrix
 from lime_planner.core.refusal import Refusal
 from lime_planner.core.status import Status
+from lime_planner.core.types import Array
 from lime_planner.motion.trajectory import Trajectory
-
-Array = npt.NDArray[np.float64]
 
 
 def stamp_s(stamp: Time) -> float:

@@ -9,12 +9,9 @@ import numpy as np
 import numpy.typing as npt
 
 from lime_planner.core.errors import SceneError
+from lime_planner.core.types import Bool, Float32, Int32
 from lime_planner.scene.scene import Scene
 from lime_planner.scene.voxels import displacement, lonely, thin
-
-Float32 = npt.NDArray[np.float32]
-Indices = npt.NDArray[np.int32]
-Mask = npt.NDArray[np.bool_]
 
 #: Classes are left as they are up to these numbers of points, and thinned by the first of these voxels that gets them to about that
 #: (the last one if none does). Stems and fruit stay fine: what they are displaced by is added to the radius of their points.
@@ -112,14 +109,14 @@ def remove_arm(scene: Scene, distance_to_arm: Callable[[Float32], npt.NDArray[np
     return _subset(scene, kept[0], kept[1], kept[2], reason="on_arm")
 
 
-def _within(points: Float32, centre: Float32, reach_m: float) -> Mask:
+def _within(points: Float32, centre: Float32, reach_m: float) -> Bool:
     offset = points - centre
     # A point beyond 1e19 m overflows to infinity here, which is out of reach as well.
     with np.errstate(over="ignore"):
         return np.asarray(np.einsum("ij,ij->i", offset, offset) <= np.float32(reach_m) ** 2)
 
 
-def _subset(scene: Scene, leaf: Mask, stem: Mask, fruit: Mask, *, reason: str) -> Scene:
+def _subset(scene: Scene, leaf: Bool, stem: Bool, fruit: Bool, *, reason: str) -> Scene:
     counts = dict(scene.counts)
     _add(counts, reason, scene.n_points - int(leaf.sum()) - int(stem.sum()) - int(fruit.sum()))
     return dataclasses.replace(
@@ -137,7 +134,7 @@ def _add(counts: dict[str, int], reason: str, n: int) -> None:
     counts[reason] = counts.get(reason, 0) + n
 
 
-def _thin_below(points: Float32, limit: int, voxels_m: tuple[float, ...]) -> tuple[Indices, Indices | None, float]:
+def _thin_below(points: Float32, limit: int, voxels_m: tuple[float, ...]) -> tuple[Int32, Int32 | None, float]:
     """Return the kept indices, the kept point that stands for each point (None: itself), and the largest displacement [m]."""
     if len(points) <= limit:
         return np.arange(len(points), dtype=np.int32), None, 0.0

@@ -19,6 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lime_planner.core.errors import SceneError
+from lime_planner.core.types import Array, Float32, UInt8
 from lime_planner.scene.ply_pcd import read_cloud, write_cloud
 from lime_planner.scene.scene import DEFAULT_FRAME, FRUIT, LEAF, STEM, Scene
 
@@ -42,7 +43,7 @@ class Start:
     """
 
     joint_names: tuple[str, ...]
-    q: npt.NDArray[np.float64]
+    q: Array
 
 
 def load_scene(
@@ -156,7 +157,7 @@ def save_scene(path: str | os.PathLike[str], scene: Scene, start: Start | None =
             temporary.unlink(missing_ok=True)
 
 
-def labelled_points(scene: Scene) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.uint8], npt.NDArray[np.float32]]:
+def labelled_points(scene: Scene) -> tuple[Float32, UInt8, Float32]:
     """Return the scene as one cloud: points (N, 3) [m], labels (N,), permeability costs (N,); leaves, then stems, then fruit."""
     points = np.concatenate([scene.leaf_points, scene.stem_points, scene.fruit_points])
     sizes = (len(scene.leaf_points), len(scene.stem_points), len(scene.fruit_points))

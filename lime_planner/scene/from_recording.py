@@ -9,20 +9,19 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from lime_planner.core.errors import ProblemError, SceneError
 from lime_planner.core.geometry import matrix_to_pose, pose_to_matrix
 from lime_planner.core.status import Status
 from lime_planner.core.transforms import TransformTree, clean_name
+from lime_planner.core.types import Array
 from lime_planner.scene.bag import CLOUD, JOINTS, POSE, Recorded, Recording
 from lime_planner.scene.files import Start
 from lime_planner.scene.point_cloud2 import decode_cloud
 from lime_planner.scene.scene import FRUIT, LEAF, STEM, Scene, merged
 
-Float64 = npt.NDArray[np.float64]
 #: Removes the arm from a cloud: (scene, configuration at the cloud's time or None, padding [m]) -> scene.
-ArmFilter = Callable[[Scene, Float64 | None, float], Scene]
+ArmFilter = Callable[[Scene, Array | None, float], Scene]
 
 #: The inputs of the planner that a recording may hold, and their types.
 INPUTS: Mapping[str, str] = {
@@ -152,7 +151,7 @@ class _Reader:
         parts = [self._part(name, recorded) for name in names if (recorded := self.newest(name)) is not None]
         return merged(parts, self._frame.planning_frame)
 
-    def pose(self, recorded: Recorded) -> Float64:
+    def pose(self, recorded: Recorded) -> Array:
         """Return a target x y z qx qy qz qw in the planning frame."""
         header, p, o = recorded.msg.header, recorded.msg.pose.position, recorded.msg.pose.orientation
         try:
@@ -183,7 +182,7 @@ class _Reader:
             raise SceneError(f"{recorded.topic}: {error}") from None
         return self._frame.arm_filter(scene, self._arm_at(recorded.at_s), self._frame.padding_m)
 
-    def _arm_at(self, at_s: float) -> Float64 | None:
+    def _arm_at(self, at_s: float) -> Array | None:
         """Return where the arm was when a cloud was recorded; None before its first state."""
         try:
             state = self.newest("joint_states", at_s)
@@ -191,7 +190,7 @@ class _Reader:
             return None
         return None if state is None else _configuration(state, self._frame.joint_names)
 
-    def _transform(self, frame_id: str, topic: str) -> Float64:
+    def _transform(self, frame_id: str, topic: str) -> Array:
         source, target = clean_name(frame_id), self._frame.planning_frame
         if not source:
             raise SceneError(f"{topic} has an empty frame_id; it must name the frame of its data")
@@ -206,7 +205,7 @@ class _Reader:
         return T
 
 
-def _configuration(recorded: Recorded, joint_names: Sequence[str]) -> Float64:
+def _configuration(recorded: Recorded, joint_names: Sequence[str]) -> Array:
     """Return the configuration (n,) [rad] in the arm's order."""
     names: list[Any] = list(recorded.msg.name)
     missing = [name for name in joint_names if name not in names]

@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lime_planner.core.errors import SceneError
+from lime_planner.core.types import Float32, UInt8
 
 _MAX_HEADER_BYTES = 65_536
 _PLY_BYTES = {
@@ -76,7 +77,7 @@ def read_cloud(path: Path, label_field: str) -> dict[str, npt.NDArray[Any]]:
     return members
 
 
-def write_cloud(path: Path, points: npt.NDArray[np.float32], labels: npt.NDArray[np.uint8], costs: npt.NDArray[np.float32] | None) -> None:
+def write_cloud(path: Path, points: Float32, labels: UInt8, costs: Float32 | None) -> None:
     """Write points (N, 3) [m] with `label` and, if given, `permeability_cost`, as binary PLY or PCD.
 
     Raises:

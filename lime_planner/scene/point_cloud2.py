@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lime_planner.core.errors import SceneError
+from lime_planner.core.types import Float32
 
 #: NumPy types (without byte order) of `PointField.datatype`.
 TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
@@ -25,7 +26,7 @@ class Cloud:
         columns: the further fields asked for and present, (N,) each, in their own types.
     """
 
-    points: npt.NDArray[np.float32]
+    points: Float32
     columns: Mapping[str, npt.NDArray[np.generic]]
 
 

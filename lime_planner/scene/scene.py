@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lime_planner.core.errors import ParameterError, SceneError
+from lime_planner.core.types import Array, Bool, Float32, Int32
 from lime_planner.scene.labels import fruit_label_in_force
 
 #: Labels of the points in scene files and clouds; every other label is impermeable.
@@ -22,10 +23,6 @@ DEFAULT_FRAME = "base"
 FRUIT_LINK_M = 0.012  #: fruit points closer than this belong to one fruit, or to fruits that touch
 FRUIT_EXTENT_M = 0.065  #: a cluster longer than this along any axis is several fruits (a lime measures 4-5 cm)
 FRUIT_RADIUS_M = 0.03  #: what is let go of such a cluster: its points this close to the target
-
-Float32 = npt.NDArray[np.float32]
-Float64 = npt.NDArray[np.float64]
-Int32 = npt.NDArray[np.int32]
 
 
 def _frozen(name: str, value: Any, dtype: Any, shape: tuple[int, ...]) -> npt.NDArray[Any]:
@@ -70,7 +67,7 @@ class Scene:
     stem_points: Float32
     fruit_points: Float32
     frame_id: str = DEFAULT_FRAME
-    target_pose: Float64 | None = None
+    target_pose: Array | None = None
     counts: Mapping[str, int] = dataclasses.field(default_factory=dict)
     stem_displacement_m: float = 0.0
     leaf_displacement_m: float = 0.0
@@ -303,12 +300,12 @@ def _points(name: str, value: npt.ArrayLike) -> Float32:
     return array
 
 
-def _finite(points: Float32) -> npt.NDArray[np.bool_]:
+def _finite(points: Float32) -> Bool:
     ok = np.isfinite(points)
     return np.asarray(ok[:, 0] & ok[:, 1] & ok[:, 2])  # three times as fast as all(axis=1)
 
 
-def _any_of(labels: npt.NDArray[Any], wanted: Sequence[int]) -> npt.NDArray[np.bool_]:
+def _any_of(labels: npt.NDArray[Any], wanted: Sequence[int]) -> Bool:
     # A comparison for each label; np.isin takes ten times as long on the few that there are.
     found = np.zeros(len(labels), dtype=bool)
     for label in wanted:

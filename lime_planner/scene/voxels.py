@@ -8,9 +8,9 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from lime_planner.core.jit import kernel
+from lime_planner.core.types import Bool, Float32, Int32
 
 _SPAN = 1 << 20  # cells on either side of the origin that a key can hold: a kilometre of millimetres
 _HASH = np.uint64(0x9E3779B97F4A7C15)
@@ -160,7 +160,7 @@ def _linked(points: Any, seed: int, link_m: float) -> Any:
     return linked
 
 
-def _frozen(points: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+def _frozen(points: Float32) -> Float32:
     # A scene's arrays are read-only, others are not: Numba would compile each kernel twice.
     view = np.ascontiguousarray(points).view()
     view.setflags(write=False)
@@ -171,7 +171,7 @@ def _bits(n: int) -> int:
     return max(4, int(2 * n).bit_length())
 
 
-def thin(points: npt.NDArray[np.float32], edge_m: float) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.int32]]:
+def thin(points: Float32, edge_m: float) -> tuple[Int32, Int32]:
     """Keep, of each voxel, the point nearest to its middle.
 
     Args:
@@ -185,23 +185,23 @@ def thin(points: npt.NDArray[np.float32], edge_m: float) -> tuple[npt.NDArray[np
     return kept, stands_for
 
 
-def displacement(points: npt.NDArray[np.float32], kept: npt.NDArray[np.int32], stands_for: npt.NDArray[np.int32]) -> float:
+def displacement(points: Float32, kept: Int32, stands_for: Int32) -> float:
     """Return the largest distance [m] from a point to the kept one that stands for it; at most √3 edges, usually little over one."""
     return float(_farthest(_frozen(points), kept, stands_for))
 
 
-def lonely(points: npt.NDArray[np.float32], radius_m: float, neighbours: int) -> npt.NDArray[np.bool_]:
+def lonely(points: Float32, radius_m: float, neighbours: int) -> Bool:
     """Tell which points (N,) have fewer than `neighbours` others in the block of 3³ cells of edge `radius_m` around them.
 
     The block holds the ball of `radius_m`: a point with enough neighbours in the ball is never called lonely.
     """
-    result: npt.NDArray[np.bool_] = _lonely(_frozen(points), float(radius_m), neighbours + 1, _bits(len(points)))
+    result: Bool = _lonely(_frozen(points), float(radius_m), neighbours + 1, _bits(len(points)))
     return result
 
 
-def linked(points: npt.NDArray[np.float32], seed: int, link_m: float) -> npt.NDArray[np.bool_]:
+def linked(points: Float32, seed: int, link_m: float) -> Bool:
     """Tell which points (N,) are reached from point `seed` by steps of at most `link_m` from point to point."""
-    result: npt.NDArray[np.bool_] = _linked(_frozen(points), seed, float(link_m))
+    result: Bool = _linked(_frozen(points), seed, float(link_m))
     return result
 
 

@@ -11,16 +11,12 @@ import enum
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
-import numpy as np
-import numpy.typing as npt
-
 from lime_planner.core.parameters import Settings, validate
+from lime_planner.core.types import Array
 from lime_planner.pipeline import Pipeline
 from lime_planner.pipeline.plan_record import PlanRecord
 from lime_planner.robot.model import Robot
 from lime_planner.scene.scene import Scene
-
-Array = npt.NDArray[np.float64]
 
 
 class Activity(enum.Enum):

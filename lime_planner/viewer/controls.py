@@ -8,16 +8,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-import numpy.typing as npt
-
 from lime_planner.core.parameters import PLANNERS, Settings
 from lime_planner.core.status import Status
+from lime_planner.core.types import Array
 from lime_planner.output.console import cell
 from lime_planner.pipeline.plan_record import PlanRecord
 from lime_planner.viewer.backend import Activity, Moment
-
-Array = npt.NDArray[np.float64]
 
 #: Colour and sign of the status light; told apart by the sign as well.
 _LIGHTS = {

@@ -7,9 +7,9 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from lime_planner.collision.distance_fields import Fields
+from lime_planner.core.types import Float32, UInt8
 from lime_planner.output.picture import FREE_PATH, LEAFY_PATH
 from lime_planner.output.search_tree import Grown, grow_again
 from lime_planner.pipeline import Pipeline
@@ -139,7 +139,7 @@ class Extras:
         self._field_note = f"distance to {self._controls.field.value}: dark 0 m, yellow {_FAR_M:g} m and more"
 
 
-def slice_of(fields: Fields, channel: int, height_m: float) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.uint8]]:
+def slice_of(fields: Fields, channel: int, height_m: float) -> tuple[Float32, UInt8]:
     """Return the nodes (N, 3) of a distance field nearest to a height, and their colours (N, 3)."""
     from matplotlib import colormaps
 

@@ -10,13 +10,13 @@ import numpy.typing as npt
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
+from lime_planner.core.types import Array, Bool, Float32, Int32, Int64
 from lime_planner.output.picture import ARM, FREE_PATH, LEAFY_PATH, LIME, STEM
 from lime_planner.output.timeline import Insight
 from lime_planner.robot.model import Robot
 from lime_planner.scene.scene import Scene
 from lime_planner.viewer.nodes import set_visible
 
-Array = npt.NDArray[np.float64]
 Colour = tuple[int, int, int]
 
 #: Leaves under the page's lamps, which make the picture's bluish green still bluer.
@@ -35,12 +35,12 @@ def rgb(colour: tuple[float, float, float], tone: float = 1.0) -> Colour:
     return red, green, blue
 
 
-def thinned(points: npt.NDArray[Any], most: int) -> npt.NDArray[np.int64]:
+def thinned(points: npt.NDArray[Any], most: int) -> Int64:
     """Return indices of at most `most` points, evenly spread over their order."""
     return np.unique(np.linspace(0, max(len(points) - 1, 0), min(len(points), most)).round().astype(np.int64))
 
 
-def spacing_of(points: npt.NDArray[np.float32]) -> float:
+def spacing_of(points: Float32) -> float:
     """Return the median distance between neighbouring points (N, 3) [m], of a sample of them; 0 for fewer than two."""
     if len(points) < 2:
         return 0.0
@@ -64,7 +64,7 @@ class Plant:
         self._api = api
         self._parts: dict[str, list[Any]] = {"leaves": [], "stems": [], "limes": []}
 
-        def near(points: npt.NDArray[Any]) -> npt.NDArray[np.bool_]:
+        def near(points: npt.NDArray[Any]) -> Bool:
             return np.asarray(np.linalg.norm(points - centre, axis=-1) < reach_m)
 
         if scene.leaf_triangles is not None and len(scene.leaf_triangles):
@@ -88,7 +88,7 @@ class Plant:
             for handle in handles:
                 handle.remove()
 
-    def _cloud(self, part: str, points: npt.NDArray[np.float32], colour: tuple[float, float, float], size_m: float) -> None:
+    def _cloud(self, part: str, points: Float32, colour: tuple[float, float, float], size_m: float) -> None:
         if not len(points):
             return
         keep = thinned(points, POINTS_SHOWN)
@@ -103,7 +103,7 @@ class Plant:
             )
         )
 
-    def _leaf_meshes(self, scene: Scene, near: npt.NDArray[np.bool_]) -> None:
+    def _leaf_meshes(self, scene: Scene, near: Bool) -> None:
         assert scene.leaf_triangles is not None
         triangles = scene.leaf_triangles[near]
         ids = np.arange(len(triangles)) if scene.leaf_triangle_ids is None else scene.leaf_triangle_ids[near]
@@ -134,7 +134,7 @@ class Plant:
 
 
 @cache
-def _drawn_meshes(robot: Robot) -> tuple[tuple[int, Array, npt.NDArray[np.int32]], ...]:
+def _drawn_meshes(robot: Robot) -> tuple[tuple[int, Array, Int32], ...]:
     """Return joint, vertices and triangles of each link, simplified for drawing."""
     import open3d as o3d
 
@@ -248,7 +248,7 @@ class Touched:
             self._draw(1, "/touched/before", before, rgb((0.96, 0.72, 0.48)), 0.006)
         return self.count(now)
 
-    def count(self, marks: npt.NDArray[np.bool_]) -> int:
+    def count(self, marks: Bool) -> int:
         """Return how many leaves (or points) some of the touched points are."""
         return int(marks.sum()) if self._leaves is None else len(np.unique(self._leaves[marks]))
 
@@ -271,7 +271,7 @@ class Touched:
                 handle.remove()
                 self._handles[number] = None
 
-    def _draw(self, number: int, name: str, marks: npt.NDArray[np.bool_], colour: Colour, size_m: float) -> None:
+    def _draw(self, number: int, name: str, marks: Bool, colour: Colour, size_m: float) -> None:
         which = np.flatnonzero(marks) if self._leaves is None else np.unique(self._leaves[marks])
         if which.tobytes() == self._keys[number] and self._handles[number] is not None:
             return

@@ -12,7 +12,6 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from lime_planner.output.timeline import Insight, look_into
 from lime_planner.pipeline.plan_record import PlanRecord
@@ -28,8 +27,6 @@ from lime_planner.viewer.player import Player
 from lime_planner.viewer.plots import Plots
 from lime_planner.viewer.serving import start_server, stop_server
 from lime_planner.viewer.target_marker import TargetMarker
-
-Array = npt.NDArray[np.float64]
 
 _PERIOD_S = 0.05
 _UNWATCHED_PERIOD_S = 0.5  # when no browser is open

@@ -5,12 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from lime_planner.core.types import Array
 from lime_planner.output.picture import FREE_PATH, LEAFY_PATH, STEM
 from lime_planner.output.timeline import CLEARANCE_SHOWN_M, Insight
-
-Array = npt.NDArray[np.float64]
 
 _HEIGHT = 190
 _CEILING_MM = 1080.0 * CLEARANCE_SHOWN_M

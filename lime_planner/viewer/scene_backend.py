@@ -8,12 +8,12 @@ import time
 from collections.abc import Callable
 
 import numpy as np
-import numpy.typing as npt
 
 from lime_planner.core.errors import LimePlannerError, SceneError
 from lime_planner.core.geometry import pose_to_matrix
 from lime_planner.core.parameters import Settings
 from lime_planner.core.status import Status
+from lime_planner.core.types import Array
 from lime_planner.motion import stop as stopping
 from lime_planner.motion.trajectory import Trajectory
 from lime_planner.pipeline import Pipeline, PlanResult
@@ -23,7 +23,6 @@ from lime_planner.scene.plants.grasp_targets import canopy_targets, grasp_pose
 from lime_planner.scene.scene import Scene
 from lime_planner.viewer.backend import Activity, Moment, Wishes, with_wishes
 
-Array = npt.NDArray[np.float64]
 Job = Callable[[threading.Event], None]
 
 _ADVICE = (

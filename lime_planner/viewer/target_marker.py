@@ -5,13 +5,11 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from lime_planner.core.geometry import pose_to_matrix
+from lime_planner.core.types import Array
 from lime_planner.viewer.controls import Controls
 from lime_planner.viewer.nodes import set_visible
-
-Array = npt.NDArray[np.float64]
 
 _ARROW_M = 0.09
 

@@ -7,9 +7,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-Array = npt.NDArray[np.float64]
+from lime_planner.core.types import Array
 
 RESAMPLES = 1000
 SEED = 20_190  # the intervals are part of the tables: the same data give the same ones

@@ -8,13 +8,12 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from lime_planner.core.types import Array
 from lime_planner.experiments.analysis.bootstrap import Estimate, by_cluster, median
 from lime_planner.experiments.damage.trials import LABELS
 from lime_planner.experiments.wall.report import markdown_table
 
-Array = npt.NDArray[np.float64]
 Trials = list[dict[str, Any]]
 
 ALL = "all plants"

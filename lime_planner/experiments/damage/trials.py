@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from lime_planner.core.errors import ParameterError
 from lime_planner.core.geometry import pose_to_matrix
@@ -22,8 +21,6 @@ from lime_planner.pipeline.pipeline import Pipeline
 from lime_planner.pipeline.result import PlanResult
 from lime_planner.robot.model import home
 from lime_planner.scene.plants.generator import DENSITIES
-
-Array = npt.NDArray[np.float64]
 
 #: What is compared: settings of the pipeline that differ from its defaults.
 METHODS: dict[str, dict[str, Any]] = {

@@ -6,9 +6,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from lime_planner.core.atomic_files import replacing
+from lime_planner.core.types import Array, Int64
 from lime_planner.experiments.lime.trials import ALGORITHMS, FIXED, LABELS, Task, plan_trial, space_of
 from lime_planner.experiments.problems import pipeline_of, scene_of
 from lime_planner.experiments.runs.results_file import Plan
@@ -16,15 +16,13 @@ from lime_planner.output.render import Image, View, cloud_layer, compose, halved
 from lime_planner.robot.model import Robot, home
 from lime_planner.scene.scene import Scene
 
-Array = npt.NDArray[np.float64]
-
 _LEAF, _STEM, _LIME, _ARM, _PATH = (0.16, 0.62, 0.44), (0.45, 0.27, 0.12), (0.95, 0.88, 0.25), (0.27, 0.28, 0.30), (0.84, 0.37, 0.0)
 _PIXEL_M = 0.0016
 _GHOSTS = 3  # configurations drawn between start and goal
 _VEIL = 0.5  # opacity of the plant in front of the arm
 
 
-def _arm(robot: Robot, q: Array) -> tuple[Array, npt.NDArray[np.int64]]:
+def _arm(robot: Robot, q: Array) -> tuple[Array, Int64]:
     poses = robot.link_poses(q)
     counts = np.cumsum([0] + [len(link.vertices) for link in robot.links])
     vertices = [link.vertices @ poses[link.joint, :3, :3].T + poses[link.joint, :3, 3] for link in robot.links]

@@ -6,14 +6,13 @@ import math
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from lime_planner.core.types import Array
 from lime_planner.experiments.analysis.bootstrap import Estimate, by_cluster, independent
 from lime_planner.experiments.analysis.statistics import MeanTest, against_zero, mean_interval, welch
 from lime_planner.experiments.lime.trials import ALGORITHMS, FIXED, LABELS, PAPER, VARIANTS
 from lime_planner.experiments.wall.report import markdown_table, p_text
 
-Array = npt.NDArray[np.float64]
 Cells = dict[tuple[int, str, str], list[dict[str, Any]]]
 
 PAIRS = (("rrt_star", "apf_rrt_star"), ("p_rrt_star", "apf_rrt_star"), ("rrt_star", "p_rrt_star"))

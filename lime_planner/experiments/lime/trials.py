@@ -8,12 +8,12 @@ from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from lime_planner.collision.joint_space import ArmSpace
 from lime_planner.core.errors import ParameterError
 from lime_planner.core.jit import kernel
 from lime_planner.core.parameters import Settings, settings_from
+from lime_planner.core.types import Array
 from lime_planner.experiments.lime.scenes import LimeScene, find_scenes
 from lime_planner.experiments.problems import pipeline_of, scene_of
 from lime_planner.experiments.runs.results_file import Plan
@@ -22,8 +22,6 @@ from lime_planner.planning.rrt_star.planner import PaperOptions, Snapshot, plan_
 from lime_planner.planning.space import repulsion
 from lime_planner.planning.spaces.function_space import FunctionSpace, function_space
 from lime_planner.robot.model import home
-
-Array = npt.NDArray[np.float64]
 
 ALGORITHMS = ("rrt_star", "apf_rrt_star", "p_rrt_star")
 LABELS = {"rrt_star": "RRT*", "apf_rrt_star": "APF-RRT*", "p_rrt_star": "P-RRT*"}

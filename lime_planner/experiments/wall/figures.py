@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from lime_planner.core.types import Array
 from lime_planner.experiments.wall.optimum import plane_optimum
 from lime_planner.experiments.wall.reference import ROWS, Row
 from lime_planner.experiments.wall.trials import WallOptions
@@ -18,7 +19,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-Array = npt.NDArray[np.float64]
 
 # Okabe and Ito's palette; every line also has a style of its own.
 _BLUE, _GREEN, _SKY, _BLACK, _RED = "#0072B2", "#009E73", "#56B4E9", "#000000", "#D55E00"

@@ -12,13 +12,11 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from lime_planner.core.jit import kernel
+from lime_planner.core.types import Array
 from lime_planner.planning.space import edge, evaluate
 from lime_planner.planning.spaces.plane import PlaneWorld
-
-Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)

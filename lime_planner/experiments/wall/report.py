@@ -7,12 +7,10 @@ from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from lime_planner.core.types import Array
 from lime_planner.experiments.analysis.statistics import Comparison, Effect, mean_interval, mixed_anova, post_hoc, welch
 from lime_planner.experiments.wall.reference import MARKS, PAPER, ROWS, YARDSTICK, YARDSTICK_PROPAGATED, YARDSTICK_TRIALS
-
-Array = npt.NDArray[np.float64]
 
 _LABELS = {row.key: row.label for row in ROWS}
 

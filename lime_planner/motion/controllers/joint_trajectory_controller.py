@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
+from lime_planner.core.types import Array, Bool
 from lime_planner.motion.controllers.command import Command
-
-Array = npt.NDArray[np.float64]
 
 
 class JtcLaw:
@@ -18,9 +16,7 @@ class JtcLaw:
     by whole turns next to the first point; all later points are taken as they are.
     """
 
-    def __init__(
-        self, command: Command, joint_names: tuple[str, ...], q_start: Array, v_start: Array, continuous: npt.NDArray[np.bool_]
-    ) -> None:
+    def __init__(self, command: Command, joint_names: tuple[str, ...], q_start: Array, v_start: Array, continuous: Bool) -> None:
         """Begin.
 
         Args:

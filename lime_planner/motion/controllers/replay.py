@@ -17,9 +17,8 @@ import numpy as np
 import numpy.typing as npt
 
 from lime_planner.core.errors import ProblemError
+from lime_planner.core.types import Array
 from lime_planner.motion.trajectory import Trajectory
-
-Array = npt.NDArray[np.float64]
 
 TICK_S = 0.01  #: period of the driver's velocity timer
 _ROUNDING_S = 1e-6  # a timer is never early: a point whose time is the tick's has passed

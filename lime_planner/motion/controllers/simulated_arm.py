@@ -10,11 +10,10 @@ import numpy as np
 import numpy.typing as npt
 
 from lime_planner.core.errors import ParameterError
+from lime_planner.core.types import Array
 from lime_planner.motion.controllers.command import Command, Verdict, judge_jtc, judge_kinova
 from lime_planner.motion.controllers.joint_trajectory_controller import JtcLaw
 from lime_planner.motion.controllers.replay import TICK_S, KinovaLaw
-
-Array = npt.NDArray[np.float64]
 
 CONTROLLERS = ("jtc", "kinova")
 LONGEST_DELAY_S = 5.0  #: states older than this are forgotten

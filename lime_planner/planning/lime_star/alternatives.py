@@ -9,12 +9,12 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
+
+from lime_planner.core.types import Array
 
 if TYPE_CHECKING:
     from lime_planner.planning.lime_star.run import Run
 
-Array = npt.NDArray[np.float64]
 
 _RADIUS = 12.0  # of the closed balls, in least steps
 _DEAREST = 2.5  # cost, over the best, above which a detour is not worth polishing

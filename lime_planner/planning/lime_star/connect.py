@@ -5,13 +5,11 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from lime_planner.core.jit import kernel
+from lime_planner.core.types import Array, Int32, Int64
 from lime_planner.planning.ellipsoid import draw_between, draw_in_box
 from lime_planner.planning.space import clamp, distance, edge, evaluate
-
-Array = npt.NDArray[np.float64]
 
 CAPACITY = 4000
 _ROUNDING = 1e-9  # share of a length that counts as nothing
@@ -21,8 +19,8 @@ class Bush(NamedTuple):
     """One of the two trees: rows (capacity, n), parent (capacity,), size (1,)."""
 
     rows: Array
-    parent: npt.NDArray[np.int32]
-    size: npt.NDArray[np.int64]
+    parent: Int32
+    size: Int64
 
 
 def new_bush(n: int) -> Bush:

@@ -11,13 +11,11 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from lime_planner.core.jit import kernel
+from lime_planner.core.types import Array
 from lime_planner.planning.sampling import normal, uniform
 from lime_planner.planning.space import clamp, edge, evaluate
-
-Array = npt.NDArray[np.float64]
 
 _CHANGED = 0.4  # share of the trials that change the best way out instead of drawing a new one
 _UP, _DOWN = 1.6, 0.87  # step control of those: the one-fifth success rule

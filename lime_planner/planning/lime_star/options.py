@@ -4,12 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-import numpy as np
-import numpy.typing as npt
-
 from lime_planner.core.status import Status
-
-Array = npt.NDArray[np.float64]
+from lime_planner.core.types import Array
 
 
 @dataclass(frozen=True)

@@ -39,7 +39,6 @@ from lime_planner.planning.space import clamp, distance, evaluate, inside
 
 __all__ = ["LimeOptions", "LimeOutcome", "plan_lime", "warm_up"]
 
-Array = npt.NDArray[np.float64]
 
 # Shares of the roadmap's samples; the others fall around the paths. Where the best path is short, a part of the box is left to be
 # sampled, and takes fewer samples.

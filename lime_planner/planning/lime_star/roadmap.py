@@ -11,13 +11,11 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from lime_planner.core.jit import kernel
+from lime_planner.core.types import Array, Int32, Int64, UInt8
 from lime_planner.planning.lime_star.balls import passes
 from lime_planner.planning.space import distance, edge, evaluate
-
-Array = npt.NDArray[np.float64]
 
 UNKNOWN, EXACT, AT_LEAST, BLOCKED = 0, 1, 2, 3  # what is known of an edge's cost
 START = 0  # vertex number; the goals follow
@@ -37,21 +35,21 @@ class Roadmap(NamedTuple):
         near, near_distance: scratch of a scan.
     """
 
-    size: npt.NDArray[np.int64]
+    size: Int64
     rows: Array
     columns: Array
     leaf: Array
-    ends: npt.NDArray[np.int32]
+    ends: Int32
     length: Array
     cost: Array
-    known: npt.NDArray[np.uint8]
-    first: npt.NDArray[np.int32]
-    after: npt.NDArray[np.int32]
+    known: UInt8
+    first: Int32
+    after: Int32
     to_come: Array
-    via: npt.NDArray[np.int32]
+    via: Int32
     key: Array
-    item: npt.NDArray[np.int32]
-    near: npt.NDArray[np.int32]
+    item: Int32
+    near: Int32
     near_distance: Array
 
 

@@ -8,8 +8,8 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from lime_planner.core.types import Array
 from lime_planner.planning.lime_star import connect as trees
 from lime_planner.planning.lime_star import leaf_exits as escape
 from lime_planner.planning.lime_star import polish as local
@@ -20,8 +20,6 @@ from lime_planner.planning.lime_star.restart import Restarts
 from lime_planner.planning.lime_star.tracks import MAX_WAYPOINTS, copy_track, empty_track, load_track, near_tracks, new_tracks
 from lime_planner.planning.sampling import random_state
 from lime_planner.planning.single import line
-
-Array = npt.NDArray[np.float64]
 
 _SLICE_S = 0.004
 _PROMISING = 0.95  # share of the best cost below which a way out that was not reached is tried again

@@ -5,12 +5,10 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from lime_planner.core.jit import kernel
+from lime_planner.core.types import Array, Int64
 from lime_planner.planning.space import distance, edge
-
-Array = npt.NDArray[np.float64]
 
 MAX_WAYPOINTS = 96
 _COMPARED = 8  # places along two paths at which their distance is taken
@@ -28,7 +26,7 @@ class Tracks(NamedTuple):
     """
 
     points: Array
-    size: npt.NDArray[np.int64]
+    size: Int64
     segment: Array
     step: Array
     cost: Array

@@ -8,9 +8,9 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from lime_planner.core.jit import hot_kernel
+from lime_planner.core.types import Array
 from lime_planner.planning.rrt_star.potential_field import biased_direction, shift_sample
 from lime_planner.planning.rrt_star.tree import add_node, nearest, neighbours, rewire_node
 from lime_planner.planning.space import distance, edge, evaluate
@@ -43,10 +43,10 @@ class Rules(NamedTuple):
 class Scratch(NamedTuple):
     """Working memory of one planner, each (n,)."""
 
-    sample: npt.NDArray[np.float64]
-    new: npt.NDArray[np.float64]
-    force: npt.NDArray[np.float64]
-    direction: npt.NDArray[np.float64]
+    sample: Array
+    new: Array
+    force: Array
+    direction: Array
 
 
 @hot_kernel

@@ -17,6 +17,7 @@ import numpy.typing as npt
 
 from lime_planner.core.errors import ProblemError
 from lime_planner.core.status import Status
+from lime_planner.core.types import Array, Int64
 from lime_planner.planning.rrt_star import kernels
 from lime_planner.planning.rrt_star.options import PaperOptions
 from lime_planner.planning.rrt_star.potential_field import Field, farthest_corner
@@ -24,7 +25,6 @@ from lime_planner.planning.rrt_star.tree import Tree, add_node, enlarged, new_tr
 
 __all__ = ["PaperOptions", "PaperOutcome", "Snapshot", "plan_paper"]
 
-Array = npt.NDArray[np.float64]
 
 _SLICE_S = 0.004  # aim of one slice of compiled iterations; cancel and deadline are looked at in between
 _FIRST_SLICE = 8
@@ -78,7 +78,7 @@ class PaperOutcome:
     snapshots: tuple[Snapshot, ...]
     tree: Tree = field(repr=False)
     seed: int | None
-    counters: npt.NDArray[np.int64] = field(repr=False)
+    counters: Int64 = field(repr=False)
 
     @property
     def path(self) -> Array | None:
@@ -238,7 +238,7 @@ def _search(
 
 
 def _outcome(
-    run: _Run, status: Status, snapshots: tuple[Snapshot, ...], seed: int | np.random.Generator, counters_before: npt.NDArray[np.int64]
+    run: _Run, status: Status, snapshots: tuple[Snapshot, ...], seed: int | np.random.Generator, counters_before: Int64
 ) -> PaperOutcome:
     ended_at_mark = bool(snapshots) and snapshots[-1].iterations == run.iterations
     final = snapshots[-1] if ended_at_mark else run.snapshot()

@@ -5,12 +5,10 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from lime_planner.core.jit import hot_kernel
+from lime_planner.core.types import Array
 from lime_planner.planning.space import clamp, distance, repulsion
-
-Array = npt.NDArray[np.float64]
 
 
 class Field(NamedTuple):

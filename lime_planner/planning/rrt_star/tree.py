@@ -10,9 +10,9 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from lime_planner.core.jit import hot_kernel, overload
+from lime_planner.core.types import Array, Int32, Int64
 from lime_planner.planning.space import distance
 
 _BLOCK = 256  # nodes whose distances are computed together, in vector instructions
@@ -37,25 +37,25 @@ class Tree(NamedTuple):
         found_distance: working memory: their distances, (capacity,).
     """
 
-    size: npt.NDArray[np.int64]
-    rows: npt.NDArray[np.float64]
-    columns: npt.NDArray[np.float64]
-    parent: npt.NDArray[np.int32]
-    first_child: npt.NDArray[np.int32]
-    next_sibling: npt.NDArray[np.int32]
-    previous_sibling: npt.NDArray[np.int32]
-    cost: npt.NDArray[np.float64]
-    edge_cost: npt.NDArray[np.float64]
-    intensity: npt.NDArray[np.float64]
-    squared: npt.NDArray[np.float64]
-    found: npt.NDArray[np.int32]
-    found_distance: npt.NDArray[np.float64]
+    size: Int64
+    rows: Array
+    columns: Array
+    parent: Int32
+    first_child: Int32
+    next_sibling: Int32
+    previous_sibling: Int32
+    cost: Array
+    edge_cost: Array
+    intensity: Array
+    squared: Array
+    found: Int32
+    found_distance: Array
 
 
 def new_tree(capacity: int, n: int) -> Tree:
     """Return an empty tree with room for `capacity` nodes in n dimensions."""
 
-    def links() -> npt.NDArray[np.int32]:
+    def links() -> Int32:
         return np.full(capacity, -1, dtype=np.int32)
 
     return Tree(
@@ -86,7 +86,7 @@ def enlarged(tree: Tree, capacity: int) -> Tree:
     return larger
 
 
-def trace(tree: Tree, node: int) -> npt.NDArray[np.float64]:
+def trace(tree: Tree, node: int) -> Array:
     """Return the configurations from the start to a node, (M, n).
 
     Raises:
@@ -190,12 +190,12 @@ def _block_minimum(squared: Any, count: int) -> float:
     return min(min(low0, low1), min(low2, low3))
 
 
-def nearest(space: Any, tree: Tree, q: npt.NDArray[np.float64]) -> tuple[int, float]:
+def nearest(space: Any, tree: Tree, q: Array) -> tuple[int, float]:
     """Return the nearest node and its distance (compiled only; the first of several)."""
     raise NotImplementedError("only inside compiled code")
 
 
-def neighbours(space: Any, tree: Tree, q: npt.NDArray[np.float64], radius: float, slack: float) -> int:
+def neighbours(space: Any, tree: Tree, q: Array, radius: float, slack: float) -> int:
     """Write all nodes with distance² <= radius² + slack and their distances to `tree.found*`; return their number (compiled only)."""
     raise NotImplementedError("only inside compiled code")
 

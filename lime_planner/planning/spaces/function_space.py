@@ -20,9 +20,8 @@ from numba.extending import intrinsic
 
 from lime_planner.core.errors import ProblemError
 from lime_planner.core.jit import overload
+from lime_planner.core.types import Array, Int64
 from lime_planner.planning.space import N_EDGE_STATES, N_EDGES, N_STATES, distance, edge, evaluate, is_space, repulsion
-
-Array = npt.NDArray[np.float64]
 
 _VALID, _COST, _DISTANCE, _FIELD = range(4)
 
@@ -86,8 +85,8 @@ class FunctionSpace(NamedTuple):
 
     lower: Array
     upper: Array
-    counters: npt.NDArray[np.int64]
-    addresses: npt.NDArray[np.int64]
+    counters: Int64
+    addresses: Int64
     edge_step: float
     scratch: Array
 

@@ -10,14 +10,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from lime_planner.core.errors import ProblemError, SceneError
 from lime_planner.planning.spaces.plane_space import IMPERMEABLE, PERMEABLE, PlaneSpace, is_inside
 
 __all__ = ["IMPERMEABLE", "PERMEABLE", "PlaneSpace", "PlaneWorld", "check_ends", "load_world", "random_wall", "wall_g", "world_from_dict"]
 
-Array = npt.NDArray[np.float64]
 Corners = tuple[tuple[float, float], ...]
 
 

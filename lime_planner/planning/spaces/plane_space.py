@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lime_planner.core.jit import hot_kernel, overload
+from lime_planner.core.types import Array, Int64, UInt8
 from lime_planner.planning.space import N_EDGE_STATES, N_EDGES, N_STATES, edge, evaluate, is_space, repulsion
 
 PERMEABLE, IMPERMEABLE = 0, 1
@@ -32,14 +33,14 @@ class PlaneSpace(NamedTuple):
         scratch: working memory of the edge function, (2 V + 4,).
     """
 
-    lower: npt.NDArray[np.float64]
-    upper: npt.NDArray[np.float64]
-    counters: npt.NDArray[np.int64]
-    vertices: npt.NDArray[np.float64]
-    offsets: npt.NDArray[np.int64]
-    kinds: npt.NDArray[np.uint8]
-    boxes: npt.NDArray[np.float64]
-    scratch: npt.NDArray[np.float64]
+    lower: Array
+    upper: Array
+    counters: Int64
+    vertices: Array
+    offsets: Int64
+    kinds: UInt8
+    boxes: Array
+    scratch: Array
 
 
 @hot_kernel

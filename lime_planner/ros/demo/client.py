@@ -8,7 +8,6 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
@@ -16,12 +15,11 @@ from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
+from lime_planner.core.types import Array
 from lime_planner.ros import qos
 from lime_planner.ros.demo.processes import Corner, DemoError
 from lime_planner.ros.requests.status import read_status
 from lime_planner.ros.spinning import Spinning
-
-Array = npt.NDArray[np.float64]
 
 _PLANNER = "lime_planner"
 

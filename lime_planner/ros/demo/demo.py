@@ -20,15 +20,12 @@ from lime_planner.ros.demo.processes import Corner, DemoError, Processes
 from lime_planner.ros.demo.report import MOTION_TIMEOUT_S, Columns, Driven, report, verdict
 
 if TYPE_CHECKING:
-    import numpy as np
-    import numpy.typing as npt
-
+    from lime_planner.core.types import Array
     from lime_planner.robot.model import Robot
     from lime_planner.ros.demo.client import DemoClient
     from lime_planner.ros.model_loader import Loaded
     from lime_planner.scene.scene import Scene
 
-    Array = npt.NDArray[np.float64]
 
 DEFAULT_SEED = 15
 _READY_TIMEOUT_S = 600.0  # compiling everything for the first time takes its while on a slow machine

@@ -14,13 +14,10 @@ from lime_planner.core.status import Status
 from lime_planner.output.console import headline, print_plans, write_json
 
 if TYPE_CHECKING:
-    import numpy as np
-    import numpy.typing as npt
-
+    from lime_planner.core.types import Array
     from lime_planner.robot.model import Robot
     from lime_planner.scene.scene import Scene
 
-    Array = npt.NDArray[np.float64]
 
 #: Heading and figures of each plan that was made for comparison.
 Columns = list[tuple[str, Mapping[str, Any]]]

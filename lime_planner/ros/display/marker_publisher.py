@@ -6,11 +6,11 @@ from collections.abc import Callable
 from typing import Protocol
 
 import numpy as np
-import numpy.typing as npt
 from builtin_interfaces.msg import Time
 from visualization_msgs.msg import MarkerArray
 
 from lime_planner.core.geometry import matrix_to_pose
+from lime_planner.core.types import Array, Float32
 from lime_planner.ros.attendant import Attendant
 from lime_planner.ros.display.markers import Extras, markers
 from lime_planner.ros.model_loader import Loaded
@@ -115,7 +115,7 @@ class MarkerDesk(Attendant):
     def _stale(self, shown: Shown) -> bool:
         return self._closed or self._busy() or self._newest is None or self._newest[0] is not shown
 
-    def _tree(self, shown: Shown, target: npt.NDArray[np.float64], loaded: Loaded) -> npt.NDArray[np.float32]:
+    def _tree(self, shown: Shown, target: Array, loaded: Loaded) -> Float32:
         """Return tool positions of the pieces of the search tree's edges, (S, 2, 3): the search runs once more, with its own seed."""
         from lime_planner.output.search_tree import grow_again
         from lime_planner.pipeline.plan_record import PlanRecord

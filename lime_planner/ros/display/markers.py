@@ -14,6 +14,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from lime_planner.core.geometry import matrix_to_pose
 from lime_planner.core.parameters import Settings
+from lime_planner.core.types import Array
 from lime_planner.ros.convert import to_pose
 from lime_planner.scene.scene import Scene
 
@@ -87,7 +88,7 @@ class _Picture:
         if len(triangles):
             self._marker(namespace, Marker.TRIANGLE_LIST, (1.0, 1.0, 1.0), rgba).points = _points(triangles)
 
-    def path(self, tool_path: npt.NDArray[np.float64], tool_leaf: npt.NDArray[np.float64]) -> None:
+    def path(self, tool_path: Array, tool_leaf: Array) -> None:
         """Add the tool's line, touching parts in another colour."""
         if len(tool_path) < 2:
             return
@@ -104,7 +105,7 @@ class _Picture:
             step = -(-len(edges) // (_SHOWN // 2))
             self._marker("tree", Marker.LINE_LIST, (0.001, 0.0, 0.0), _TREE).points = _points(edges[::step].reshape(-1, 3))
 
-    def target(self, T_base_tool: npt.NDArray[np.float64], radius_m: float) -> None:
+    def target(self, T_base_tool: Array, radius_m: float) -> None:
         """Add the approach direction (the tool's +z) and the excluded sphere."""
         tip = T_base_tool[:3, 3]
         arrow = self._marker("target", Marker.ARROW, (0.008, 0.016, 0.02), (0.85, 0.1, 0.6, 1.0))
@@ -125,7 +126,7 @@ class _Picture:
 
 def markers(
     scene: Scene,
-    T_base_tool: npt.NDArray[np.float64] | None,
+    T_base_tool: Array | None,
     result: Any,
     settings: Settings,
     stamp: Time,

@@ -7,8 +7,6 @@ import threading
 import time
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-import numpy as np
-import numpy.typing as npt
 from geometry_msgs.msg import PoseStamped
 from rclpy.parameter import Parameter as RosParameter
 
@@ -16,6 +14,7 @@ from lime_planner.core.errors import LimePlannerError
 from lime_planner.core.geometry import matrix_to_pose
 from lime_planner.core.refusal import Refusal
 from lime_planner.core.status import Status
+from lime_planner.core.types import Array
 from lime_planner.pipeline.plan_record import PlanRecord
 from lime_planner.ros.convert import to_pose
 from lime_planner.ros.requests.jobs import Shown as Planned
@@ -28,7 +27,6 @@ if TYPE_CHECKING:
     from lime_planner.ros.nodes.planner_node import PlannerNode
     from lime_planner.viewer.page import Page
 
-Array = npt.NDArray[np.float64]
 
 #: Clouds are decoded for the page this often at most [s]: looking must not slow planning.
 _SCENE_PERIOD_S = 2.0

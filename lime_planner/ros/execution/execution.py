@@ -14,16 +14,14 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from lime_planner.core.refusal import Refusal
 from lime_planner.core.status import Status
+from lime_planner.core.types import Array
 from lime_planner.motion.trajectory import Trajectory
 from lime_planner.ros.execution.motion import Ended, Motion
 from lime_planner.ros.inputs.joint_states import ArmState, JointHistory
 from lime_planner.ros.parameters import Snapshot
-
-Array = npt.NDArray[np.float64]
 
 #: Joint states must be silent for at least this long to stop a motion, whatever age a plan may start from [s]: a machine under
 #: load holds them up for some tenths of a second, and the motion that was checked does not become wrong by that.

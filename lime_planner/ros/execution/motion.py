@@ -7,16 +7,12 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-import numpy as np
-import numpy.typing as npt
-
 from lime_planner.core.status import Status
+from lime_planner.core.types import Array
 from lime_planner.motion.progress import best_fit
 from lime_planner.motion.trajectory import Trajectory
 from lime_planner.ros.inputs.joint_states import ArmState
 from lime_planner.ros.parameters import Snapshot
-
-Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -7,8 +7,7 @@ import numpy.typing as npt
 
 from lime_planner.core.refusal import Refusal
 from lime_planner.core.status import Status
-
-Array = npt.NDArray[np.float64]
+from lime_planner.core.types import Array
 
 #: Farther from the path than this the way back is unknown [rad, over all joints].
 OFF_PATH_RAD = 0.1

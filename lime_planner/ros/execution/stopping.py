@@ -7,14 +7,12 @@ import time
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from lime_planner.core.types import Array
 from lime_planner.motion.stop import braking, one_point_stop
 from lime_planner.motion.trajectory import Trajectory
 from lime_planner.ros.execution.motion import Motion
 from lime_planner.ros.inputs.joint_states import ArmState
-
-Array = npt.NDArray[np.float64]
 
 #: What is off the path is brought back at this share of the velocity limits, the motion along the path not counted.
 _RETURN_SHARE = 0.5

@@ -8,12 +8,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-import numpy as np
-import numpy.typing as npt
-
+from lime_planner.core.types import Array
 from lime_planner.ros.inputs.joint_states import ArmState, JointHistory
-
-Array = npt.NDArray[np.float64]
 
 #: How long after a cloud the joint states are looked through for the one of its stamp [s].
 _SETTLING_S = 1.0

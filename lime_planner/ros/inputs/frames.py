@@ -6,8 +6,6 @@ import time
 from collections.abc import Callable, Sequence
 from typing import Any, Protocol
 
-import numpy as np
-import numpy.typing as npt
 from builtin_interfaces.msg import Time
 from rclpy.clock import JumpThreshold
 from rclpy.duration import Duration
@@ -18,8 +16,7 @@ from lime_planner.core.geometry import pose_to_matrix
 from lime_planner.core.refusal import Refusal
 from lime_planner.core.status import Status
 from lime_planner.core.transforms import TransformTree, clean_name
-
-Array = npt.NDArray[np.float64]
+from lime_planner.core.types import Array
 
 
 class Frames(Protocol):

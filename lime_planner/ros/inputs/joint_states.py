@@ -12,12 +12,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from lime_planner.core.refusal import Refusal
 from lime_planner.core.status import Status
-
-Array = npt.NDArray[np.float64]
+from lime_planner.core.types import Array
 
 #: How much of the past is kept [s]: clouds of slow cameras are this old at most when they arrive.
 HISTORY_S = 5.0

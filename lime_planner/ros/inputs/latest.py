@@ -12,13 +12,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-import numpy.typing as npt
 from geometry_msgs.msg import PoseStamped
 from sensor_msgs.msg import JointState, PointCloud2
 
 from lime_planner.core.refusal import Refusal
 from lime_planner.core.status import Status
+from lime_planner.core.types import Array
 from lime_planner.ros.convert import JointReader, stamp_s, target_matrix
 from lime_planner.ros.inputs.arm_at_clouds import ArmAtClouds
 from lime_planner.ros.inputs.clouds import check_layout
@@ -153,7 +152,7 @@ class Target:
         sample: how it came in, if by the topic; such a one ages, and is withdrawn by an invalid one after it.
     """
 
-    T_frame_tool: npt.NDArray[np.float64]
+    T_frame_tool: Array
     msg: PoseStamped
     sample: Sample | None = None
 

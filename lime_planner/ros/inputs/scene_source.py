@@ -8,21 +8,19 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from lime_planner.core.errors import SceneError
 from lime_planner.core.refusal import Refusal
 from lime_planner.core.status import Status
+from lime_planner.core.types import Array, Float32
 from lime_planner.ros.inputs.clouds import COST_FIELD, decode_cloud
 from lime_planner.ros.inputs.frames import Frames
 from lime_planner.ros.inputs.latest import CLOUDS, Inputs, Sample
 from lime_planner.ros.parameters import NodeSettings, Snapshot
 from lime_planner.scene.scene import Scene, merged
 
-Float32 = npt.NDArray[np.float32]
-Array = npt.NDArray[np.float64]
 #: Removes the arm from a scene: (scene, configuration at the cloud's stamp or None, padding [m]) -> scene.
-ArmFilter = Callable[[Scene, npt.NDArray[np.float64] | None, float], Scene]
+ArmFilter = Callable[[Scene, Array | None, float], Scene]
 
 _LEAF, _HARD = 0, 1  # labels given here to the points of the two separate clouds
 

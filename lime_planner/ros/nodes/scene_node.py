@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import rclpy
 from geometry_msgs.msg import PoseStamped
 from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
@@ -19,6 +18,7 @@ from sensor_msgs.msg import PointCloud2
 
 from lime_planner.core.errors import LimePlannerError, ParameterError
 from lime_planner.core.geometry import matrix_to_pose, pose_to_matrix
+from lime_planner.core.types import Array
 from lime_planner.ros import qos
 from lime_planner.ros.convert import to_pose
 from lime_planner.ros.inputs.clouds import encode_cloud
@@ -49,7 +49,7 @@ class _Published:
     """A scene and the target that goes with it."""
 
     scene: Scene
-    target: npt.NDArray[np.float64] | None
+    target: Array | None
 
 
 def make_scene(values: Mapping[str, Any]) -> _Published:

@@ -10,12 +10,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from geometry_msgs.msg import PoseStamped
 
 from lime_planner.core.errors import LimePlannerError
 from lime_planner.core.refusal import Refusal
 from lime_planner.core.status import Status
+from lime_planner.core.types import Array
 from lime_planner.ros.convert import target_matrix
 from lime_planner.ros.execution.execution import Execution
 from lime_planner.ros.execution.retreat import way_back
@@ -31,8 +31,6 @@ from lime_planner.ros.requests.status import Phase
 from lime_planner.ros.requests.status_board import Board
 from lime_planner.ros.requests.worker import Answer, Ticket
 from lime_planner.scene.scene import Scene
-
-Array = npt.NDArray[np.float64]
 
 #: How often a plan is made at most: again when the arm had moved, or a stem was seen on the path, before it could be sent.
 _SENDING_ATTEMPTS = 2

@@ -5,17 +5,15 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-import numpy.typing as npt
 
 from lime_planner.core.errors import ParameterError
+from lime_planner.core.types import Array
 from lime_planner.scene.plants.grasp_targets import hidden_lime_target
 from lime_planner.scene.plants.leaves import grow_leaves
 from lime_planner.scene.plants.limes import PEDICEL_RADII_M, hang_limes
 from lime_planner.scene.plants.skeleton import GOLDEN_ANGLE_RAD, Canopy, Skeleton, grow_skeleton, nodes_along
 from lime_planner.scene.plants.surface import jitter, on_cones, on_spheres, on_triangles
 from lime_planner.scene.scene import DEFAULT_FRAME, Scene
-
-Float64 = npt.NDArray[np.float64]
 
 #: Leaves on a plant of the default size, and twigs on each of its shoots, by name of the density. Leaf area per volume of
 #: canopy is about 2, 4 and 7 m²/m³; the last is a well-grown citrus.
@@ -133,8 +131,8 @@ def generate_plant(rng: np.random.Generator | int, options: PlantOptions | None 
 
 
 def _leaves_beside_limes(
-    rng: np.random.Generator, skeleton: Skeleton, n: int, options: PlantOptions, centres: Float64, radii: Float64
-) -> Float64:
+    rng: np.random.Generator, skeleton: Skeleton, n: int, options: PlantOptions, centres: Array, radii: Array
+) -> Array:
     """Grow n leaves; one that would pierce a lime is turned around its twig until it does not, or moved to another node."""
     trunk_xy = np.array(options.position_m[:2])
     nodes, axes = nodes_along(rng, skeleton, n, 2)

@@ -13,11 +13,10 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from lime_planner.core.errors import ProblemError, SceneError
+from lime_planner.core.types import Array, Int64
 from lime_planner.core.validation import finite_vector, floats, shown
 from lime_planner.scene.plants.surface import perpendicular, unit
 from lime_planner.scene.scene import Scene
-
-Float64 = npt.NDArray[np.float64]
 
 MAX_APPROACH_RAD = np.pi / 4.0
 CORRIDOR_RADIUS_M = 0.05  #: half the width of what a hand sweeps on its way in
@@ -29,7 +28,7 @@ _SHORTEST_DIRECTION, _LONG_DIRECTION = 1e-6, 1e6
 
 def approach_directions(
     rng: np.random.Generator, position: npt.ArrayLike, n: int, *, base_position: npt.ArrayLike = (0.0, 0.0, 0.0)
-) -> Float64:
+) -> Array:
     """Draw n unit directions (n, 3), even over the cap within 45° of the ray from `base_position` to `position` (3,) [m]."""
     ray = unit(np.asarray(position, dtype=np.float64) - np.asarray(base_position, dtype=np.float64))
     one, two = perpendicular(ray)
@@ -38,7 +37,7 @@ def approach_directions(
     return unit(cosine * ray + np.sqrt(1.0 - cosine**2) * (np.cos(turn) * one + np.sin(turn) * two))
 
 
-def grasp_pose(position: npt.ArrayLike, direction: npt.ArrayLike, roll_rad: float = 0.0) -> Float64:
+def grasp_pose(position: npt.ArrayLike, direction: npt.ArrayLike, roll_rad: float = 0.0) -> Array:
     """Return the pose (7,) at `position` (3,) [m] whose +z points along `direction` (3,), turned about it by `roll_rad`.
 
     Args:
@@ -66,7 +65,7 @@ def grasp_pose(position: npt.ArrayLike, direction: npt.ArrayLike, roll_rad: floa
     return np.concatenate([place, quaternion])
 
 
-def lime_targets(scene: Scene, rng: np.random.Generator, *, base_position: npt.ArrayLike = (0.0, 0.0, 0.0)) -> list[Float64]:
+def lime_targets(scene: Scene, rng: np.random.Generator, *, base_position: npt.ArrayLike = (0.0, 0.0, 0.0)) -> list[Array]:
     """Return one grasp pose (7,) for each lime of a generated plant, in the order of `scene.fruit_centres`.
 
     Of 48 directions drawn for each lime the one is taken whose way in holds the fewest stem points, then the one nearest to the
@@ -89,7 +88,7 @@ def lime_targets(scene: Scene, rng: np.random.Generator, *, base_position: npt.A
     return poses
 
 
-def hidden_lime_target(scene: Scene, rng: np.random.Generator, *, base_position: npt.ArrayLike = (0.0, 0.0, 0.0)) -> Float64 | None:
+def hidden_lime_target(scene: Scene, rng: np.random.Generator, *, base_position: npt.ArrayLike = (0.0, 0.0, 0.0)) -> Array | None:
     """Return the grasp pose (7,) of the lime that is best hidden among leaves on the robot's side; None without limes.
 
     Limes within `HIDDEN_REACH_M` of the base come first, then those that have a way in free of stems, then the one with the most
@@ -100,7 +99,7 @@ def hidden_lime_target(scene: Scene, rng: np.random.Generator, *, base_position:
         return None
     leaves, stems = cKDTree(scene.leaf_points), cKDTree(scene.stem_points)
     base = np.asarray(base_position, dtype=np.float64)
-    best: tuple[tuple[bool, int, float], Float64, Float64] | None = None
+    best: tuple[tuple[bool, int, float], Array, Array] | None = None
     for centre in scene.fruit_centres.astype(np.float64):
         directions = approach_directions(rng, centre, _DIRECTIONS, base_position=base)
         blocked, touched = _in_corridor(stems, centre, directions), _in_corridor(leaves, centre, directions)
@@ -122,7 +121,7 @@ def canopy_targets(
     *,
     base_position: npt.ArrayLike = (0.0, 0.0, 0.0),
     stem_distance_m: float = 0.03,
-) -> list[Float64]:
+) -> list[Array]:
     """Draw n grasp poses (7,) inside the foliage of a scan without fruit.
 
     Each is a random leaf point of the middle 60 % of the canopy along every axis, at least `stem_distance_m` from a stem,
@@ -146,7 +145,7 @@ def canopy_targets(
     return poses
 
 
-def _in_corridor(tree: cKDTree, centre: Float64, directions: Float64) -> npt.NDArray[np.int64]:
+def _in_corridor(tree: cKDTree, centre: Array, directions: Array) -> Int64:
     """Count the tree's points (D,) in cylinders of `CORRIDOR_RADIUS_M` that lead out of `centre` against each direction."""
     near = np.asarray(tree.data)[tree.query_ball_point(centre, np.hypot(CORRIDOR_M, CORRIDOR_RADIUS_M))] - centre
     along = -near @ directions.T

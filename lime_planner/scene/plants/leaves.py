@@ -6,11 +6,9 @@ A petiole belongs to its leaf: it bends with the blade, so its points are permea
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
+from lime_planner.core.types import Array
 from lime_planner.scene.plants.surface import perpendicular, unit
-
-Float64 = npt.NDArray[np.float64]
 
 PETIOLE_WIDTH_M = 0.0016
 _SECTIONS = np.array([0.18, 0.45, 0.75])  # where along the midrib the blade has its cross-sections
@@ -26,8 +24,8 @@ FACES = np.array(
 
 
 def grow_leaves(
-    rng: np.random.Generator, nodes: Float64, axes: Float64, turns_rad: Float64, trunk_xy: Float64, length_m: tuple[float, float]
-) -> Float64:
+    rng: np.random.Generator, nodes: Array, axes: Array, turns_rad: Array, trunk_xy: Array, length_m: tuple[float, float]
+) -> Array:
     """Grow one leaf at each node.
 
     Args:
@@ -58,7 +56,7 @@ def grow_leaves(
     bend = rng.uniform(0.1, 0.9, (n, 1))  # the whole midrib's curve, downwards [rad]
     fold = rng.uniform(0.1, 0.45, (n, 1))  # of each half over the midrib [rad]
 
-    def midrib(t: Float64) -> tuple[Float64, Float64, Float64]:
+    def midrib(t: Array) -> tuple[Array, Array, Array]:
         # A circular arc of the blade's length; its own normal leans forward as it curves.
         angle = bend * t
         rib = base[:, None] + (length * np.sin(angle) / bend)[..., None] * forward[:, None]

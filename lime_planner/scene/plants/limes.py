@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
+from lime_planner.core.types import Array
 from lime_planner.scene.plants.skeleton import Canopy, Skeleton, nodes_along
 from lime_planner.scene.plants.surface import distance_to_segments, unit
-
-Float64 = npt.NDArray[np.float64]
 
 PEDICEL_RADII_M = (0.0012, 0.0016)
 FRONT_SHARE = 0.75  #: of the limes hang on the robot's side of the trunk: the side that is presented to it
@@ -22,8 +20,8 @@ def hang_limes(
     canopy: Canopy,
     n: int,
     diameter_m: tuple[float, float],
-    front: Float64,
-) -> tuple[Float64, Float64, Float64]:
+    front: Array,
+) -> tuple[Array, Array, Array]:
     """Hang up to n limes on shoots and twigs, clear of the wood and of each other.
 
     Args:
@@ -44,9 +42,9 @@ def hang_limes(
     # Enough candidates of the robot's side come first; a stable sort keeps chance's order within both groups.
     order = order[np.argsort(~in_front, kind="stable")]
     front_first, others = order[: int(in_front.sum())], order[int(in_front.sum()) :]
-    centres: list[Float64] = []
+    centres: list[Array] = []
     radii: list[float] = []
-    stalks: list[Float64] = []
+    stalks: list[Array] = []
     for group, limit in ((front_first, wanted_front), (others, n), (front_first, n)):
         for index in group:
             if len(centres) >= limit:
@@ -61,7 +59,7 @@ def hang_limes(
     return np.array(centres).reshape(-1, 3), np.array(radii), np.array(stalks).reshape(-1, 3)
 
 
-def _has_room(centre: Float64, radius: float, skeleton: Skeleton, canopy: Canopy, centres: list[Float64], radii: list[float]) -> bool:
+def _has_room(centre: Array, radius: float, skeleton: Skeleton, canopy: Canopy, centres: list[Array], radii: list[float]) -> bool:
     if ((((centre - canopy.centre) / canopy.half_axes) ** 2).sum()) > 1.0:
         return False
     if any(np.linalg.norm(centre - c) < radius + r + _GAP_M for c, r in zip(centres, radii, strict=True)):

@@ -5,12 +5,9 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-import numpy.typing as npt
 
+from lime_planner.core.types import Array, Int64
 from lime_planner.scene.plants.surface import perpendicular, unit
-
-Float64 = npt.NDArray[np.float64]
-Int64 = npt.NDArray[np.int64]
 
 GOLDEN_ANGLE_RAD = np.pi * (3.0 - np.sqrt(5.0))  #: turn from one bud to the next around a shoot of citrus, nearly
 
@@ -19,10 +16,10 @@ GOLDEN_ANGLE_RAD = np.pi * (3.0 - np.sqrt(5.0))  #: turn from one bud to the nex
 class Canopy:
     """The ellipsoid that holds the branches: centre (3,) [m] and half axes (3,) [m]."""
 
-    centre: Float64
-    half_axes: Float64
+    centre: Array
+    half_axes: Array
 
-    def room(self, points: Float64, directions: Float64) -> Float64:
+    def room(self, points: Array, directions: Array) -> Array:
         """Return the distance (N,) [m] from points (N, 3) along unit directions to the ellipsoid; 0 from outside."""
         p, d = (points - self.centre) / self.half_axes, directions / self.half_axes
         a, b, c = (d * d).sum(axis=1), (p * d).sum(axis=1), (p * p).sum(axis=1) - 1.0
@@ -33,9 +30,9 @@ class Canopy:
 class Skeleton:
     """Segments of all wood: starts, ends (S, 3) [m], radii (S, 2) [m], level (S,): 0 trunk, 1 branches, 2 shoots, 3 twigs."""
 
-    starts: Float64
-    ends: Float64
-    radii: Float64
+    starts: Array
+    ends: Array
+    radii: Array
     levels: Int64
 
 
@@ -60,7 +57,7 @@ def _levels(twigs: int, size: float) -> tuple[_Level, ...]:
     )
 
 
-def _chain(rng: np.random.Generator, starts: Float64, directions: Float64, lengths: Float64, order: _Level) -> Float64:
+def _chain(rng: np.random.Generator, starts: Array, directions: Array, lengths: Array, order: _Level) -> Array:
     """Grow B branches at once; return their nodes (B, segments + 1, 3) [m]."""
     nodes = [starts]
     step = (lengths / order.segments)[:, None]
@@ -70,7 +67,7 @@ def _chain(rng: np.random.Generator, starts: Float64, directions: Float64, lengt
     return np.stack(nodes, axis=1)
 
 
-def _buds(rng: np.random.Generator, parents: Float64, order: _Level, first: float) -> tuple[Float64, Float64]:
+def _buds(rng: np.random.Generator, parents: Array, order: _Level, first: float) -> tuple[Array, Array]:
     """Place `order.children` buds on each parent (B, K, 3) from the fraction `first` to its tip; return positions and directions."""
     b, k = parents.shape[0], parents.shape[1] - 1
     fraction = first + (1.0 - first) * (np.arange(order.children) + rng.uniform(0.2, 1.0, (b, order.children))) / order.children
@@ -87,7 +84,7 @@ def _buds(rng: np.random.Generator, parents: Float64, order: _Level, first: floa
     return (before + t * (after - before)).reshape(-1, 3), unit(out).reshape(-1, 3)
 
 
-def grow_skeleton(rng: np.random.Generator, base: Float64, trunk_m: float, canopy: Canopy, twigs: int) -> Skeleton:
+def grow_skeleton(rng: np.random.Generator, base: Array, trunk_m: float, canopy: Canopy, twigs: int) -> Skeleton:
     """Grow the wood: a trunk of which the lower `trunk_m` are bare, then three orders of branching inside the canopy.
 
     Args:
@@ -122,7 +119,7 @@ def grow_skeleton(rng: np.random.Generator, base: Float64, trunk_m: float, canop
     return Skeleton(starts, ends, radii, levels)
 
 
-def nodes_along(rng: np.random.Generator, skeleton: Skeleton, n: int, level: int) -> tuple[Float64, Float64]:
+def nodes_along(rng: np.random.Generator, skeleton: Skeleton, n: int, level: int) -> tuple[Array, Array]:
     """Draw n nodes evenly along all wood of this level and finer; return positions (n, 3) [m] and axes (n, 3)."""
     chosen = np.flatnonzero(skeleton.levels >= level)
     starts, along = skeleton.starts[chosen], skeleton.ends[chosen] - skeleton.starts[chosen]

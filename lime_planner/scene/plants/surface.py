@@ -5,24 +5,23 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-Float64 = npt.NDArray[np.float64]
-Int64 = npt.NDArray[np.int64]
+from lime_planner.core.types import Array, Int64
 
 
-def unit(vectors: Float64) -> Float64:
+def unit(vectors: Array) -> Array:
     """Return vectors (..., 3) at length one; a zero vector stays zero."""
     length = np.linalg.norm(vectors, axis=-1, keepdims=True)
     return vectors / np.where(length > 0.0, length, 1.0)
 
 
-def perpendicular(axes: Float64) -> tuple[Float64, Float64]:
+def perpendicular(axes: Array) -> tuple[Array, Array]:
     """Return two unit vectors (N, 3) that complete the unit vectors `axes` (N, 3) to right-handed frames."""
     helper = np.where(np.abs(axes[..., 2:]) < 0.9, np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0]))
     first = unit(np.cross(helper, axes))
     return first, np.cross(axes, first)
 
 
-def _spread(rng: np.random.Generator, areas: Float64, per_m2: float) -> tuple[Int64, Float64]:
+def _spread(rng: np.random.Generator, areas: Array, per_m2: float) -> tuple[Int64, Array]:
     """Draw surface pieces in proportion to their areas [m²]: one draw in each of n equal slices, so that no patch stays bare.
 
     Returns the pieces (n,) and how far through its piece's area each draw lies (n,), 0 to 1.
@@ -36,13 +35,13 @@ def _spread(rng: np.random.Generator, areas: Float64, per_m2: float) -> tuple[In
     return index, np.clip(1.0 - (edges[index] - place) / areas[index], 0.0, 1.0)
 
 
-def triangle_areas(triangles: npt.NDArray[np.floating]) -> Float64:
+def triangle_areas(triangles: npt.NDArray[np.floating]) -> Array:
     """Return the areas (T,) [m²] of triangles (T, 3, 3) [m]."""
     t = np.asarray(triangles, dtype=np.float64)
     return np.asarray(0.5 * np.linalg.norm(np.cross(t[:, 1] - t[:, 0], t[:, 2] - t[:, 0]), axis=1))
 
 
-def on_triangles(rng: np.random.Generator, triangles: Float64, per_m2: float) -> tuple[Float64, Int64]:
+def on_triangles(rng: np.random.Generator, triangles: Array, per_m2: float) -> tuple[Array, Int64]:
     """Return points (N, 3) [m] on triangles (T, 3, 3) and the triangle (N,) each lies on."""
     index, _ = _spread(rng, triangle_areas(triangles), per_m2)
     root, v = np.sqrt(rng.random(len(index))), rng.random(len(index))
@@ -50,7 +49,7 @@ def on_triangles(rng: np.random.Generator, triangles: Float64, per_m2: float) ->
     return np.einsum("nk,nkx->nx", weights, triangles[index]), index
 
 
-def on_cones(rng: np.random.Generator, starts: Float64, ends: Float64, radii: Float64, per_m2: float) -> Float64:
+def on_cones(rng: np.random.Generator, starts: Array, ends: Array, radii: Array, per_m2: float) -> Array:
     """Return points (N, 3) [m] on the mantles of truncated cones from `starts` to `ends` (S, 3) with radii (S, 2) [m]."""
     along = ends - starts
     lengths = np.linalg.norm(along, axis=1)
@@ -63,7 +62,7 @@ def on_cones(rng: np.random.Generator, starts: Float64, ends: Float64, radii: Fl
     return np.asarray(starts[index] + t[:, None] * along[index] + radius[:, None] * around)
 
 
-def on_spheres(rng: np.random.Generator, centres: Float64, radii: Float64, per_m2: float) -> Float64:
+def on_spheres(rng: np.random.Generator, centres: Array, radii: Array, per_m2: float) -> Array:
     """Return points (N, 3) [m] on spheres, each a Fibonacci lattice turned at random about the vertical."""
     shells = []
     for centre, radius in zip(centres, radii, strict=True):
@@ -75,12 +74,12 @@ def on_spheres(rng: np.random.Generator, centres: Float64, radii: Float64, per_m
     return np.concatenate(shells) if shells else np.zeros((0, 3))
 
 
-def jitter(rng: np.random.Generator, points: Float64, noise_m: float) -> Float64:
+def jitter(rng: np.random.Generator, points: Array, noise_m: float) -> Array:
     """Add a normal error of standard deviation `noise_m` to each coordinate, cut at three deviations."""
     return points + noise_m * np.clip(rng.standard_normal(points.shape), -3.0, 3.0)
 
 
-def distance_to_segments(point: Float64, starts: Float64, ends: Float64) -> Float64:
+def distance_to_segments(point: Array, starts: Array, ends: Array) -> Array:
     """Return the distances (S,) [m] from one point (3,) to the segments `starts` → `ends` (S, 3)."""
     along = ends - starts
     squared = np.maximum((along**2).sum(axis=1), 1e-18)

@@ -18,9 +18,9 @@ import tempfile
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from lime_planner.core.errors import SceneError
+from lime_planner.core.types import Array, Int64
 from lime_planner.scene.files import save_scene
 from lime_planner.scene.scene import Scene
 
@@ -121,7 +121,7 @@ def _scan_to_scene(text: bytes, name: str) -> Scene:
     )
 
 
-def _foot(points: npt.NDArray[np.float64], classes: npt.NDArray[np.int64]) -> npt.NDArray[np.float64]:
+def _foot(points: Array, classes: Int64) -> Array:
     """Return the middle of the main stem's lowest 2 cm (x, y) at the height of the scan's lowest point (z), (3,) [m]."""
     stem = points[classes == _MAIN_STEM]
     if not len(stem):
