@@ -34,7 +34,7 @@ from lime_planner.scene.scene import Scene
 
 pytestmark = pytest.mark.alone
 
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = Path(__file__).resolve().parents[3]
 
 #: What RViz's displays and Foxglove's panels show.
 RVIZ_TYPES = {

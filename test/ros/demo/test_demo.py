@@ -17,7 +17,7 @@ pytest.importorskip("rclpy", reason="the demo needs ROS 2 (extra `ros`, or a sou
 
 from lime_planner.ros.demo.processes import Corner, DemoError, Processes, ros_value
 
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = Path(__file__).resolve().parents[3]
 #: Compiling everything in an empty cache takes minutes on two slow cores; with a warm one the demo takes 20 s.
 TIMEOUT_S = 420.0
 
