@@ -12,19 +12,18 @@ from typing import Any
 import numpy as np
 
 from lime_planner.core.errors import ParameterError
-from lime_planner.core.parameters import settings_from
+from lime_planner.core.planners import PLANNERS
 from lime_planner.core.types import Array
 from lime_planner.experiments.problems import Problem
-from lime_planner.pipeline.search import paper_options
-from lime_planner.planning.lime_star.planner import LimeOptions, plan_lime
-from lime_planner.planning.rrt_star.planner import PaperOptions, plan_paper
+from lime_planner.planning.planner import Outcome, Planner, Query, load_planner
 
 CLOCKS: dict[str, Callable[[], float]] = {"wall": time.monotonic, "cpu": time.thread_time}
 
-_WARM_ITERATIONS = 800  # enough to pass through every part of a search
+#: Other readings of a planner that comparisons know by a name of their own: the planner, and what changes in its options.
+VARIANTS: dict[str, tuple[str, dict[str, Any]]] = {"apf_rrt_star_integral": ("apf_rrt_star", {"cost": "integral", "propagate": True})}
 
-#: The package's own planners in comparisons: the default, the paper's as published, and the paper's with the integral cost.
-OWN_METHODS = ("lime_star", "apf_rrt_star", "apf_rrt_star_integral", "rrt_star", "p_rrt_star")
+#: The package's own planners in comparisons: those of the table, and the variants.
+OWN_METHODS = (*PLANNERS, *VARIANTS)
 
 
 _READ_EVERY_S = 0.0005
@@ -91,61 +90,79 @@ def record(
     }
 
 
-def run_lime(problem: Problem, seed: int, seconds: float, clock: str = "wall", options: LimeOptions | None = None) -> dict[str, Any]:
-    """Run the default planner once; its history is the curve.
+def planner_of(method: str) -> tuple[Planner[Any], dict[str, Any]]:
+    """The planner that a method stands for, and what the method changes in its options.
+
+    Raises:
+        ParameterError: unknown method.
+    """
+    if method not in OWN_METHODS:
+        raise ParameterError(f"method {method!r} is none of {', '.join(OWN_METHODS)}")
+    name, changes = VARIANTS.get(method, (method, {}))
+    return load_planner(name), changes
+
+
+def options_of(problem: Problem, method: str) -> Any:
+    """The options of the planner that a method stands for, from the problem's settings.
+
+    Raises:
+        ParameterError: unknown method.
+    """
+    planner, changes = planner_of(method)
+    return dataclasses.replace(planner.options(dataclasses.replace(problem.settings, planner=planner.name)), **changes)
+
+
+def search(problem: Problem, method: str, seed: int, space: Any = None, **limits: Any) -> Outcome:
+    """Run a method once, on a space of its own or a given one, within limits of `Query`."""
+    space = problem.space() if space is None else space
+    query = Query(space, problem.start, problem.goals.configurations, seed, **limits)
+    return planner_of(method)[0].run(query, options_of(problem, method))
+
+
+def run_anytime(problem: Problem, method: str, seed: int, seconds: float, clock: str = "wall") -> dict[str, Any]:
+    """Run an anytime planner once; its history is the curve.
 
     Args:
         problem: the problem.
+        method: one of `OWN_METHODS` whose planner is anytime.
         seed: of the planner.
         seconds: its budget.
         clock: `wall`, or `cpu`: the thread's own time, for a machine that others share.
-        options: of the planner.
     """
     space = problem.space()
     now = CLOCKS[clock]
     passed: list[tuple[float, float, int]] = []
     wall_s, began_s = time.monotonic(), now()
 
-    def watch() -> bool:
+    def over() -> bool:
         spent_s = now() - began_s
         passed.append((time.monotonic() - wall_s, spent_s, int(space.counters[0] + space.counters[2])))
         return spent_s >= seconds
 
-    options = options or LimeOptions(weight=problem.settings.weight)
-    outcome = plan_lime(space, problem.start, problem.goals.configurations, options, seed, should_stop=watch)
+    outcome = search(problem, method, seed, space, should_stop=over)
     walls, spent, checks = np.array([(0.0, 0.0, 0), *passed]).T
     curve = Curve()
     for t, _, cost in outcome.history:
         curve.add(float(np.interp(t, walls, spent)), int(np.interp(t, walls, checks)), cost)
-    return record(
-        "lime_star", problem, seed, curve, seconds=seconds, checks=outcome.states_checked, path=outcome.path, iterations=outcome.iterations
-    )
+    return record(method, problem, seed, curve, seconds=seconds, checks=outcome.checks, path=outcome.path, iterations=outcome.iterations)
 
 
-def paper_settings(problem: Problem, method: str) -> PaperOptions:
-    """The paper's planner that a method's name stands for."""
-    options = paper_options(settings_from({"planner": method.removesuffix("_integral")}))
-    if method.endswith("_integral"):
-        options = dataclasses.replace(options, cost="integral", propagate=True)
-    return options
+def run_marks(problem: Problem, method: str, seed: int, marks_s: Sequence[float], clock: str = "wall") -> dict[str, Any]:
+    """Run a planner once for each mark, from the start: the curve holds what a user gets for that time.
 
-
-def run_paper(problem: Problem, method: str, seed: int, marks_s: Sequence[float], clock: str = "wall") -> dict[str, Any]:
-    """Run a planner of the paper once for each mark, from the start: the curve holds what a user gets for that time.
-
-    Its own cost is the node metric, so that a longer run may return a path of higher J; the curve keeps the best.
+    For a planner of another metric than J: a longer run may return a path of higher J; the curve keeps the best.
     """
-    options, now = paper_settings(problem, method), CLOCKS[clock]
+    now = CLOCKS[clock]
     curve = Curve()
     checks, through_stem, path = 0, 0, None
     for mark in sorted(marks_s):
-        space, began_s = problem.space(), now()
+        began_s = now()
 
         def over(end_s: float = began_s + mark) -> bool:
             return now() >= end_s
 
-        outcome = plan_paper(space, problem.start, problem.goals.configurations, options, seed, should_stop=over)
-        checks = int(outcome.counters[0] + outcome.counters[2])
+        outcome = search(problem, method, seed, should_stop=over)
+        checks = outcome.checks
         cost = problem.cost(outcome.path)
         through_stem += int(outcome.path is not None and not math.isfinite(cost))
         curve.add(mark, checks, cost)
@@ -156,12 +173,9 @@ def run_paper(problem: Problem, method: str, seed: int, marks_s: Sequence[float]
 
 def warm_up(problem: Problem, method: str) -> None:
     """Load or compile everything that a method passes through, so that no measured run pays for it."""
-    goals = problem.goals.configurations
-    if method == "lime_star":
-        plan_lime(problem.space(), problem.start, goals, LimeOptions(weight=problem.settings.weight), 0, iterations=_WARM_ITERATIONS)
-    else:
-        plan_paper(problem.space(), problem.start, goals, paper_settings(problem, method), 0, iterations=_WARM_ITERATIONS // 10)
-    problem.cost(np.array([problem.start, goals[0]]))
+    search(problem, method, 0, iterations=planner_of(method)[0].warm_iterations)
+    planner_of(method)[0].warm_up(problem.space())
+    problem.cost(np.array([problem.start, problem.goals.configurations[0]]))
 
 
 def run_own(problem: Problem, method: str, seed: int, marks_s: Sequence[float], clock: str = "wall") -> dict[str, Any]:
@@ -170,8 +184,6 @@ def run_own(problem: Problem, method: str, seed: int, marks_s: Sequence[float], 
     Raises:
         ParameterError: unknown method.
     """
-    if method not in OWN_METHODS:
-        raise ParameterError(f"method {method!r} is none of {', '.join(OWN_METHODS)}")
-    if method == "lime_star":
-        return run_lime(problem, seed, max(marks_s), clock)
-    return run_paper(problem, method, seed, marks_s, clock)
+    if planner_of(method)[0].anytime:
+        return run_anytime(problem, method, seed, max(marks_s), clock)
+    return run_marks(problem, method, seed, marks_s, clock)

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.planner_runs import CLOCKS, paper_settings, run_lime, warm_up
+from benchmarks.planner_runs import CLOCKS, options_of, run_anytime, warm_up
 from benchmarks.problem_sets import choose_problems
 from benchmarks.timing import Timing, repeat
 from lime_planner.collision.distance_fields import build_fields
@@ -17,6 +17,7 @@ from lime_planner.collision.edge_cost import arm_check, arm_edge
 from lime_planner.collision.fast import SELF
 from lime_planner.collision.self_contact import SELF_CLEARANCE_M
 from lime_planner.core.jit import kernel
+from lime_planner.core.planners import DEFAULT_PLANNER
 from lime_planner.core.types import Array
 from lime_planner.experiments.problems import Problem, ProblemSpec, SceneSpec, build_problem, pipeline_of, scene_of
 from lime_planner.pipeline.obstacles import prepare
@@ -185,7 +186,7 @@ def paper_mode(problems: Sequence[ProblemSpec], seeds: int) -> Timing:
     samples = []
     for spec in problems:
         problem = build_problem(spec)
-        options = paper_settings(problem, "apf_rrt_star")
+        options = options_of(problem, "apf_rrt_star")
         for seed in range(seeds):
             plan = partial(plan_paper, problem.space(), problem.start, problem.goals.configurations, options, seed)
             samples.append(_median_of(partial(plan, iterations=PAPER_ITERATIONS), 1, samples=1))
@@ -200,9 +201,9 @@ def first_path(problems: Sequence[ProblemSpec], seeds: int, clock: str) -> Timin
     assert clock in CLOCKS
     for spec in problems:
         problem = build_problem(spec)
-        warm_up(problem, "lime_star")
+        warm_up(problem, DEFAULT_PLANNER)
         for seed in range(1, seeds + 1):
-            curve = run_lime(problem, seed, _FIRST_PATH_BUDGET_S, clock)["curve"]
+            curve = run_anytime(problem, DEFAULT_PLANNER, seed, _FIRST_PATH_BUDGET_S, clock)["curve"]
             samples.append(curve[0][0] if curve else np.inf)
     note = f"{len(problems)} problems × {seeds} seeds"
     return Timing("first_path", "first path, default planner", np.array(samples), 1, FIRST_PATH_TARGET_S, note)

@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from lime_planner.core.planners import DEFAULT_PLANNER
 from lime_planner.experiments.runs.arguments import add_run_arguments, finite_number, make_folder
 
 if TYPE_CHECKING:
@@ -129,12 +130,12 @@ def run(args: argparse.Namespace) -> int:
         "bench planners",
         problems,
         refused,
-        methods=args.methods or ["lime_star", "apf_rrt_star", "apf_rrt_star_integral"],
+        methods=args.methods or [DEFAULT_PLANNER, "apf_rrt_star", "apf_rrt_star_integral"],
         seeds=[args.seed + 1 + k for k in range(args.seeds)],
         marks_s=tuple(args.marks),
         reference_s=args.reference,
         reference_seeds=args.reference_seeds,
-        reference_methods=["lime_star", *peers],
+        reference_methods=[DEFAULT_PLANNER, *peers],
         settings={peer: load_settings()[peer] for peer in peers},
         clock=args.clock,
         keep_paths=args.keep_paths,

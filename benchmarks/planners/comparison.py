@@ -13,10 +13,11 @@ from typing import Any
 import numpy as np
 
 from benchmarks.isolated import IsolatedError, run_isolated
-from benchmarks.planner_runs import CLOCKS, OWN_METHODS, run_own, warm_up
+from benchmarks.planner_runs import CLOCKS, OWN_METHODS, planner_of, run_own, warm_up
 from benchmarks.problem_sets import Refused
 from benchmarks.timing import machine
 from lime_planner.core.errors import ParameterError
+from lime_planner.core.planners import DEFAULT_PLANNER
 from lime_planner.experiments.problems import Problem, ProblemSpec, build_problem
 from lime_planner.experiments.runs.results_file import Plan
 
@@ -156,7 +157,7 @@ class Comparison:
     marks_s: tuple[float, ...]
     reference_s: float = 0.0
     reference_seeds: int = 2
-    reference_methods: Sequence[str] = ("lime_star",)
+    reference_methods: Sequence[str] = (DEFAULT_PLANNER,)
     clock: str = "wall"
     settings: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     min_checks: int = 0
@@ -201,7 +202,8 @@ class Comparison:
         """Time that all runs take together, one after the other [s]."""
         total = 0.0
         for run in self.runs():
-            again = sum(m for m in self.marks_s if m < run.seconds) if run.method in OWN_METHODS and run.method != "lime_star" else 0.0
+            once = run.method not in OWN_METHODS or planner_of(run.method)[0].anytime
+            again = 0.0 if once else sum(m for m in self.marks_s if m < run.seconds)
             total += run.seconds + again + _PREPARE_S
         return total
 

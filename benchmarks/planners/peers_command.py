@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.planners.command import add_problem_arguments, finish, problems_of, run_comparison
+from lime_planner.core.planners import DEFAULT_PLANNER
 from lime_planner.experiments.runs.arguments import add_run_arguments, make_folder
 
 PEERS = ("ompl_rrt_star", "ompl_informed_rrt_star", "ompl_bit_star", "ompl_rrt_connect")
@@ -67,8 +68,8 @@ def _available(wanted: list[str] | None) -> list[str]:
     from benchmarks.planners.comparison import PYROBOPLAN, missing_library
 
     if wanted:
-        return list(dict.fromkeys(["lime_star", *wanted]))
-    methods = ["lime_star"]
+        return list(dict.fromkeys([DEFAULT_PLANNER, *wanted]))
+    methods = [DEFAULT_PLANNER]
     for method in (*PEERS, PYROBOPLAN):
         missing = missing_library(method)
         if missing is None:

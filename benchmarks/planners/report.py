@@ -9,11 +9,12 @@ from typing import Any
 import numpy as np
 
 from benchmarks.planner_runs import cost_at
+from lime_planner.core.planners import DEFAULT_PLANNER
 from lime_planner.experiments.analysis.bootstrap import by_cluster, median
 
 Key = tuple[str, int]
 
-DEFAULT = "lime_star"
+DEFAULT = DEFAULT_PLANNER
 TIME, CHECKS = 0, 1  # columns of a curve
 CHECK_MARKS = (3_000, 10_000, 30_000, 100_000, 300_000)
 LABELS = {

@@ -13,12 +13,13 @@ from typing import Any
 import numpy as np
 
 from benchmarks.isolated import run_isolated
-from benchmarks.planner_runs import run_lime, warm_up
+from benchmarks.planner_runs import run_anytime, warm_up
 from benchmarks.problem_sets import scene_problems
 from lime_planner.collision.joint_space import ArmSpace
 from lime_planner.core.errors import ProblemError
 from lime_planner.core.jit import kernel
 from lime_planner.core.parameters import settings_from
+from lime_planner.core.planners import DEFAULT_PLANNER
 from lime_planner.core.types import Array, Float32, UInt8
 from lime_planner.experiments.problems import ProblemSpec, SceneSpec, build_problem, pipeline_of, scene_of
 from lime_planner.pipeline.obstacles import prepare
@@ -143,9 +144,9 @@ def measure_leaves(leaves: int, seed: int) -> dict[str, Any]:
     runs, check_s = [], []
     for number, spec in zip(range(LIMES), scene_problems(scene, ("plain",), ARM, []), strict=False):
         problem = build_problem(spec)
-        warm_up(problem, "lime_star")
+        warm_up(problem, DEFAULT_PLANNER)
         check_s.append(_check_time(problem.space(), problem.goals.configurations, seed))
-        runs.append(_search_figures(run_lime(problem, 1 + number, SEARCH_S, "cpu")))
+        runs.append(_search_figures(run_anytime(problem, DEFAULT_PLANNER, 1 + number, SEARCH_S, "cpu")))
     record = {"points": len(scene_of(scene).leaf_points), "obstacles_s": round(float(np.median(fields_s)), 5), "searches": runs}
     return record | {"check_s": float(f"{np.median(check_s):.4g}") if check_s else None}
 
@@ -231,8 +232,8 @@ def run_task(task: ScaleTask) -> dict[str, Any]:
     else:
         assert task.problem is not None
         problem = build_problem(task.problem)
-        warm_up(problem, "lime_star")
-        figures = {"curve": run_lime(problem, 1 + task.number, task.value, "cpu")["curve"]}
+        warm_up(problem, DEFAULT_PLANNER)
+        figures = {"curve": run_anytime(problem, DEFAULT_PLANNER, 1 + task.number, task.value, "cpu")["curve"]}
     axis, value, number, problem_key = task.key
     return {"axis": axis, "value": value, "number": number, "problem": problem_key, **figures}
 

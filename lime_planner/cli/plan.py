@@ -12,7 +12,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from lime_planner.core.errors import ParameterError, UsageError
-from lime_planner.core.parameters import NODE_PARAMETERS, PARAMETERS, PLANNERS, Settings, parse_assignment, settings_from
+from lime_planner.core.parameters import NODE_PARAMETERS, PARAMETERS, Settings, parse_assignment, settings_from
+from lime_planner.core.planners import PLANNERS
 
 if TYPE_CHECKING:
     from lime_planner.pipeline import PlanResult

@@ -10,8 +10,7 @@ from numbers import Real
 from typing import Any
 
 from lime_planner.core.errors import ParameterError
-
-PLANNERS = ("lime_star", "apf_rrt_star", "rrt_star", "p_rrt_star")
+from lime_planner.core.planners import DEFAULT_PLANNER, PLANNERS
 
 
 @dataclass(frozen=True)
@@ -68,7 +67,7 @@ _TABLE = (
     Parameter("arm_joints", [], "The arm's joints in driver order; empty: the model's own.", element=str, read_only=True),
     Parameter("planning_frame", "", "Frame of clouds and targets while planning: the root of the arm's chain; empty: the model's.", read_only=True),
     Parameter("tool_frame", "", "Frame that must reach the target; empty: the model's `<name>_end_effector`.", read_only=True),
-    Parameter("planner", "lime_star", "Which search: the default, or one of the paper's three.", choices=PLANNERS),
+    Parameter("planner", DEFAULT_PLANNER, "Which search: the default, or one of the paper's three.", choices=tuple(PLANNERS)),
     Parameter("time_budget_s", 0.5, "Search time; the best path found until then is used.", "s", 0.01, 600.0),
     Parameter("iterations", 0, "Search iterations instead of time (the same seed then gives the same path); 0: by time.", "", 0, 100_000_000),
     Parameter("seed", 0, "Seed of the random generator; 0: a fresh one for each plan, echoed in the result.", "", 0, 2**31 - 1),

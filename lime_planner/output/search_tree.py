@@ -4,18 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from lime_planner.core.geometry import pose_to_matrix
-from lime_planner.core.types import Array, Bool, Float32, Int64
+from lime_planner.core.types import Bool, Float32
 from lime_planner.pipeline import Pipeline
 from lime_planner.pipeline.context import never
 from lime_planner.pipeline.goals import find_goals
 from lime_planner.pipeline.plan_record import PlanRecord
 from lime_planner.pipeline.search import search
-from lime_planner.planning.lime_star.roadmap import BLOCKED, UNKNOWN, Roadmap
+from lime_planner.planning.planner import no_tree
 
 EDGES_SHOWN = 400  # more hide the plant
 _PIECES = 8  # straight in joint space, an edge is a curve for the tool
@@ -50,9 +49,9 @@ def grow_again(pipeline: Pipeline, shown: PlanRecord, *, should_stop: Callable[[
     q = result.waypoints[0]
     obstacles = pipeline.obstacles(shown.scene, shown.target[:3], settings)
     goals = find_goals(obstacles, obstacles.exact_checker(), pose_to_matrix(shown.target), q, np.random.default_rng(result.seed))
-    seen: list[Any] = []
+    tree = no_tree()
     if len(goals.configurations):
-        search(
+        outcome = search(
             obstacles.with_anchors(goals.anchors, goals.needs),
             q,
             goals,
@@ -60,25 +59,12 @@ def grow_again(pipeline: Pipeline, shown: PlanRecord, *, should_stop: Callable[[
             seed=result.seed,
             budget_s=None if settings.iterations else settings.time_budget_s,
             should_stop=should_stop,
-            watch=seen.append,
         )
-    rows, ends, leafy = _edges(seen[0]) if seen else (np.zeros((0, len(q))), np.zeros((0, 2), int), np.zeros(0, bool))
+        tree = outcome.tree()
+    rows, ends, leafy = tree.configurations, tree.edges, tree.leafy
     keep = np.unique(np.linspace(0, max(len(ends) - 1, 0), min(len(ends), EDGES_SHOWN)).round().astype(int))
     share = np.linspace(0.0, 1.0, _PIECES + 1)[:, None]
     tool = np.zeros((len(keep), _PIECES + 1, 3), np.float32)
     for curve, (a, b) in zip(tool, ends[keep], strict=True):
         curve[:] = [pipeline.robot.forward(q)[:3, 3] for q in rows[a] + share * (rows[b] - rows[a])]
     return Grown(np.stack([tool[:, :-1], tool[:, 1:]], axis=2), leafy[keep], len(ends))
-
-
-def _edges(tree: Any) -> tuple[Array, Int64, Bool]:
-    """Return configurations (V, n), edges (E, 2) between them, and which of these cost more than their length."""
-    if isinstance(tree, Roadmap):
-        vertices, count = int(tree.size[0]), int(tree.size[1])
-        checked = np.flatnonzero((tree.known[:count] != UNKNOWN) & (tree.known[:count] != BLOCKED))
-        leafy = tree.cost[checked] > tree.length[checked] * (1.0 + 1e-6)
-        return tree.rows[:vertices], tree.ends[checked].astype(np.int64), leafy
-    size = int(tree.size[0])
-    children = np.flatnonzero(tree.parent[:size] >= 0)
-    ends = np.stack([tree.parent[children].astype(np.int64), children], axis=1)
-    return tree.rows[:size], ends, tree.intensity[children] > 0.0

@@ -20,6 +20,7 @@ from lime_planner.motion.timing import time_path
 from lime_planner.motion.trajectory import Trajectory
 from lime_planner.pipeline.context import Stopped
 from lime_planner.pipeline.obstacles import Obstacles
+from lime_planner.planning.planner import load_planner
 from lime_planner.robot.model import Robot
 
 CERTIFIED_STEP_RAD = 0.01  # spacing of the exact check along a path
@@ -129,12 +130,12 @@ def path_figures(obstacles: Obstacles, checker: ExactChecker, waypoints: Array, 
     if clearance < 0.05 and len(obstacles.hard):
         clearance = min(clearance, checker.stem_distance(rows[lowest]))
     at_nodes = leaf_profile(obstacles, waypoints)[0]
-    node_metric = settings.planner != "lime_star"
-    collision = settings.c_perm * float(at_nodes.sum()) if node_metric else settings.weight * intensity
+    metric = load_planner(settings.planner).metric(settings)
+    collision = settings.c_perm * float(at_nodes.sum()) if metric == "node" else settings.weight * intensity
     keep = np.unique(np.linspace(0, len(rows) - 1, min(len(rows), _MAX_TOOL_POSES)).round().astype(int))
     figures: dict[str, Any] = {
         "cost": length + collision,
-        "cost_metric": "node" if node_metric else "integral",
+        "cost_metric": metric,
         "path_length_rad": length,
         "collision_cost": collision,
         "n_collision_nodes": int((at_nodes > 0.0).sum()),

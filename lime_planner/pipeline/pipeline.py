@@ -11,7 +11,8 @@ import numpy.typing as npt
 
 from lime_planner.collision.exact import ExactChecker
 from lime_planner.collision.link_shapes import Shapes, build_shapes
-from lime_planner.core.parameters import PLANNERS, Settings, settings_from
+from lime_planner.core.parameters import Settings, settings_from
+from lime_planner.core.planners import PLANNERS
 from lime_planner.core.status import Status
 from lime_planner.core.types import Array
 from lime_planner.pipeline import recheck as follow
@@ -20,8 +21,8 @@ from lime_planner.pipeline.finish import CERTIFIED_STEP_RAD, hit_of, path_figure
 from lime_planner.pipeline.goals import Goals, examine_start, find_goals
 from lime_planner.pipeline.obstacles import Obstacles, prepare, stem_checker
 from lime_planner.pipeline.result import PlanResult, set_parameters
-from lime_planner.pipeline.search import Found, search
-from lime_planner.planning.lime_star.planner import warm_up as warm_up_search
+from lime_planner.pipeline.search import search
+from lime_planner.planning.planner import Outcome, load_planner
 from lime_planner.robot.model import Robot, home
 from lime_planner.scene import voxels
 from lime_planner.scene.scene import Scene
@@ -69,16 +70,13 @@ class Pipeline:
         apart = T[:3, 3] + np.array([0.0, 0.0, 0.4])
         points = apart + np.random.default_rng(0).uniform(-0.05, 0.05, (64, 3))
         scene = Scene.from_points(points, np.arange(64) % 2, frame_id=self.robot.planning_frame)
-        for planner in PLANNERS:
-            # Enough iterations to pass through every part of a search.
-            iterations = 600 if planner == "lime_star" else 50
-            settings = settings_from(
-                {"planner": planner, "iterations": iterations, "ik_starts": 10, "leaf_speed_scale": 0.9, "floor_z_m": -5.0}
-            )
+        easy = {"ik_starts": 10, "leaf_speed_scale": 0.9, "floor_z_m": -5.0}
+        for planner in map(load_planner, PLANNERS):
+            settings = settings_from({"planner": planner.name, "iterations": planner.warm_iterations, **easy})
             self.plan(scene, T, q, settings, seed=1)
-        # What plans that are less easy than these ask besides.
+            # What plans that are less easy than these ask besides.
+            planner.warm_up(self.obstacles(scene, T[:3, 3], settings).space(q - 1.0, q + 1.0))
         obstacles = self.obstacles(scene, T[:3, 3], settings)
-        warm_up_search(obstacles.space(q - 1.0, q + 1.0))
         checker = obstacles.exact_checker()
         checker.stem_distance(q)
         checker.leaf_contact(q)
@@ -219,7 +217,7 @@ class Pipeline:
         should_stop: Callable[[], bool],
         deadline_s: float | None,
         iterations: list[int],
-    ) -> Found:
+    ) -> Outcome:
         """Search until the exact check accepts the path; a refused one is searched again with more margin."""
         hit: str | None = None
         for attempt in range(_ATTEMPTS):

@@ -8,11 +8,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from lime_planner.core.parameters import PLANNERS, Settings
+from lime_planner.core.parameters import Settings
+from lime_planner.core.planners import PLANNERS
 from lime_planner.core.status import Status
 from lime_planner.core.types import Array
 from lime_planner.output.console import cell
 from lime_planner.pipeline.plan_record import PlanRecord
+from lime_planner.planning.planner import load_planner
 from lime_planner.viewer.backend import Activity, Moment
 
 #: Colour and sign of the status light; told apart by the sign as well.
@@ -73,9 +75,8 @@ class Controls:
         with gui.add_folder("Plan, moment by moment"):
             self.player = player()
         with gui.add_folder("For the next plan"):
-            self._planner = gui.add_dropdown(
-                "Planner", PLANNERS, initial_value=settings.planner, hint="lime_star is this package's own; the others are the paper's"
-            )
+            hint = "\n".join(f"{name}: {load_planner(name).summary}" for name in PLANNERS)
+            self._planner = gui.add_dropdown("Planner", tuple(PLANNERS), initial_value=settings.planner, hint=hint)
             self._budget = gui.add_number(
                 "Search time [s]", settings.time_budget_s, min=0.02, max=60.0, step=0.1, hint="The longer, the cheaper the path"
             )

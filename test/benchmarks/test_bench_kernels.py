@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from benchmarks.isolated import IsolatedError, run_isolated
-from benchmarks.planner_runs import Curve, cost_at, run_lime, run_own, warm_up
+from benchmarks.planner_runs import Curve, cost_at, run_anytime, run_own, warm_up
 from benchmarks.planners.compiled_checks import CompiledChecks
 from benchmarks.problem_sets import NARROW_M, choose_problems, plant_specs, scan_specs
 from lime_planner.cli.main import main
@@ -101,7 +101,7 @@ def test_scans_stand_in_front_of_the_arm(shared_data):
 def test_cost_of_a_path_is_its_length_and_its_leaves(problem):
     goal = problem.goals.configurations[0]
     warm_up(problem, "lime_star")
-    outcome = run_lime(problem, 1, 0.2, "cpu")
+    outcome = run_anytime(problem, "lime_star", 1, 0.2, "cpu")
     assert outcome["cost"] is not None
     path = np.array(outcome["path"])
     rows, lengths = sample_path(path, 0.002)

@@ -9,7 +9,8 @@ _AFTER_WARM_UP = """
 import sys
 import numpy as np
 from numba.core.dispatcher import Dispatcher
-from lime_planner.core.parameters import PLANNERS, settings_from
+from lime_planner.core.parameters import settings_from
+from lime_planner.core.planners import PLANNERS
 from lime_planner.pipeline import Pipeline
 from lime_planner.core.geometry import pose_to_matrix
 from lime_planner.robot.model import home, load_robot

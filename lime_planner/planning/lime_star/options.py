@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 from lime_planner.core.status import Status
 from lime_planner.core.types import Array
+from lime_planner.planning.lime_star.roadmap import Roadmap
 
 
 @dataclass(frozen=True)
@@ -41,6 +42,7 @@ class LimeOutcome:
         states_checked, edges_checked: work done.
         first_path_s: time from the call until the first path [s], NaN without.
         history: (K, 3) time [s], iterations and cost at each improvement.
+        road: the roadmap, None where no search began.
     """
 
     path: Array | None = field(repr=False)
@@ -51,3 +53,4 @@ class LimeOutcome:
     edges_checked: int
     first_path_s: float
     history: Array = field(repr=False)
+    road: Roadmap | None = field(default=None, repr=False)

@@ -120,7 +120,6 @@ def plan_lime(
     iterations: int | None = None,
     should_stop: Callable[[], bool] | None = None,
     deadline_s: float | None = None,
-    watch: Callable[[Any], None] | None = None,
 ) -> LimeOutcome:
     """Plan from a start to the cheapest of several goals.
 
@@ -134,7 +133,6 @@ def plan_lime(
         iterations: budget of sampled configurations, None for none.
         should_stop: True ends the search; asked every few milliseconds.
         deadline_s: search time from the call on [s], None for none.
-        watch: is shown the roadmap (`roadmap.Roadmap`) when the search has ended.
 
     Raises:
         ProblemError: malformed start or goals, or no end of the search given.
@@ -170,8 +168,6 @@ def plan_lime(
     if options.weight > 0.0:  # otherwise leaves are air
         run.start_leaf, run.goal_leaf = float(one(space, q_start)), leaf[leaf >= 0.0]
     _search(run)
-    if watch is not None:
-        watch(run.road)
     status = ended[0]
     if run.best_path is not None and status in (Status.NO_PATH, Status.TIMED_OUT):
         status = Status.SUCCEEDED
@@ -185,6 +181,7 @@ def plan_lime(
         int(counted[1]),
         run.history[0][0] if run.history else math.nan,
         np.array(run.history).reshape(-1, 3),
+        run.road,
     )
 
 

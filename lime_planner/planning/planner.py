@@ -1,0 +1,153 @@
+"""What a planner is to the rest of the package: an entry of the table `lime_planner.core.planners.PLANNERS` with this protocol."""
+
+from __future__ import annotations
+
+import importlib
+import time
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any, Generic, Literal, TypeVar
+
+import numpy as np
+
+from lime_planner.core.errors import ParameterError
+from lime_planner.core.parameters import Settings
+from lime_planner.core.planners import PLANNERS
+from lime_planner.core.status import Status
+from lime_planner.core.types import Array, Bool, Int64
+
+OptionsT = TypeVar("OptionsT")
+
+Metric = Literal["integral", "node"]
+
+
+@dataclass(frozen=True, eq=False)
+class Query:
+    """What a planner is asked.
+
+    Attributes:
+        space: a space of `lime_planner.planning.space` with memory of its own; its counters are written.
+        start: (n,) configuration, not yet checked [unit of the space: rad for an arm].
+        goals: (G, n) configurations, at least one, most promising first; invalid ones are to be left out.
+        seed: of the random generator.
+        iterations: budget of sampled configurations; None for none.
+        deadline_s: search time from the call on [s]; None for none.
+        should_stop: True ends the search; to be asked every few milliseconds. None: never.
+    """
+
+    space: Any
+    start: Array
+    goals: Array
+    seed: int
+    iterations: int | None = None
+    deadline_s: float | None = None
+    should_stop: Callable[[], bool] | None = None
+
+    def limit(self) -> Callable[[int], Status | None]:
+        """Start the clock of this query, and return what tells a number of iterations whether the search is over.
+
+        The status is what the end would mean without a path: CANCELLED, NO_PATH, TIMED_OUT; None while the search may go on.
+        """
+        began_s = time.monotonic()
+
+        def ended(iterations: int) -> Status | None:
+            if self.should_stop is not None and self.should_stop():
+                return Status.CANCELLED
+            if self.iterations is not None and iterations >= self.iterations:
+                return Status.NO_PATH
+            if self.deadline_s is not None and time.monotonic() - began_s >= self.deadline_s:
+                return Status.TIMED_OUT
+            return None
+
+        return ended
+
+
+@dataclass(frozen=True, eq=False)
+class SearchTree:
+    """What a search grew, tree or graph.
+
+    Attributes:
+        configurations: (V, n); edges: (E, 2) rows of `configurations`.
+        leafy: (E,) whether the edge costs more than its length.
+    """
+
+    configurations: Array
+    edges: Int64
+    leafy: Bool
+
+
+def no_tree() -> SearchTree:
+    """The search tree of a planner that keeps none."""
+    return SearchTree(np.zeros((0, 0)), np.zeros((0, 2), np.int64), np.zeros(0, np.bool_))
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """A path from a search, or why there is none.
+
+    Attributes:
+        path: (M, n) start to goal, or None.
+        status: SUCCEEDED, or NO_PATH, TIMED_OUT, CANCELLED (also with a path), START_INVALID, GOAL_IN_STEM.
+        iterations: configurations sampled.
+        checks: configurations checked, inside edges included.
+        first_path_s: search time until the first path [s], NaN if unknown.
+        history: (K, 3) time [s], iterations and J at each improvement; empty where the planner keeps none.
+        tree: makes the search tree, for those who want to see it.
+    """
+
+    path: Array | None
+    status: Status
+    iterations: int
+    checks: int
+    first_path_s: float = float("nan")
+    history: Array = field(default_factory=lambda: np.zeros((0, 3)))
+    tree: Callable[[], SearchTree] = no_tree
+
+
+class Planner(ABC, Generic[OptionsT]):
+    """One planner.
+
+    Attributes:
+        name: in the table and in the parameter `planner`.
+        summary: one sentence.
+        anytime: whether its best path's J never rises, and `Outcome.history` says when it fell.
+        warm_iterations: budget that passes through every part of an easy search, so that everything is compiled.
+    """
+
+    name: str
+    summary: str
+    anytime: bool = False
+    warm_iterations: int = 50
+
+    @abstractmethod
+    def options(self, settings: Settings) -> OptionsT:
+        """Return its options as the parameters have them."""
+
+    @abstractmethod
+    def run(self, query: Query, options: OptionsT) -> Outcome:
+        """Search.
+
+        Raises:
+            ProblemError: malformed start or goals, or no limit.
+        """
+
+    def metric(self, settings: Settings) -> Metric:
+        """What its cost is: `integral` (J = length + weight · ∫ leaf ds) or `node` (length + C_perm × nodes in leaves)."""
+        return "integral"
+
+    def warm_up(self, space: Any) -> None:
+        """Compile what an easy search (see `warm_iterations`) passes by."""
+
+
+def load_planner(name: str) -> Planner[Any]:
+    """Return the planner of a name, imported when it is first asked for.
+
+    Raises:
+        ParameterError: there is none of this name.
+    """
+    if name not in PLANNERS:
+        raise ParameterError(f"planner is {name!r}; allowed: one of {', '.join(PLANNERS)}")
+    module, _, attribute = PLANNERS[name].partition(":")
+    planner: Planner[Any] = getattr(importlib.import_module(module), attribute)
+    return planner
