@@ -14,7 +14,6 @@ from lime_planner.api import _warm_pipeline
 from lime_planner.core.errors import ParameterError, ProblemError, SceneError
 from lime_planner.core.geometry import matrix_to_pose, pose_to_matrix
 from lime_planner.robot.model import load_robot
-from lime_planner.scene.files import load_scene
 
 
 @pytest.fixture(scope="module")
@@ -110,7 +109,7 @@ def test_scenes_and_robots_load_by_their_class(tmp_path: Path) -> None:
     assert again.frame_id == "base"
     assert again.stem_points == pytest.approx(scene.stem_points + np.float32([0.1, 0.0, 0.0]), abs=1e-6)
     scene.save(tmp_path / "a.ply")
-    assert Scene.load(tmp_path / "a.ply").frame_id == "" and load_scene(tmp_path / "a.ply").frame_id == "base"
+    assert Scene.load(tmp_path / "a.ply").frame_id == "" and Scene.load(tmp_path / "a.ply", frame_id="base").frame_id == "base"
     assert "no target" in repr(Scene.load(tmp_path / "a.ply")) and "with a target" in repr(scene)
     robot = Robot.load("kinova_j2n6s300")
     assert robot.joint_names == load_robot("kinova_j2n6s300").joint_names

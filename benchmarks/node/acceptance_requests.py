@@ -27,7 +27,6 @@ from lime_planner.ros import qos
 from lime_planner.ros.demo.client import DemoClient
 from lime_planner.ros.demo.demo import DEFAULT_SEED
 from lime_planner.ros.demo.processes import Corner, Processes
-from lime_planner.scene.files import save_scene
 from lime_planner.scene.plants.generator import generate_plant
 
 MEDIAN_S, P95_S = 2.0, 4.0
@@ -51,7 +50,7 @@ def main() -> int:
     refused: list[str] = []
     with tempfile.TemporaryDirectory() as folder, Processes(corner, Path(folder) / "logs") as nodes:
         scene = Path(folder) / "scene.npz"
-        save_scene(scene, generate_plant(np.random.default_rng(DEFAULT_SEED)))
+        generate_plant(np.random.default_rng(DEFAULT_SEED)).save(scene)
         nodes.start("planner_node", "lime_planner.ros.nodes.planner_node", {})
         nodes.start("mock_arm_node", "lime_planner.ros.nodes.mock_arm_node", {})
         nodes.start("scene_node", "lime_planner.ros.nodes.scene_node", {"file": str(scene), "rate_hz": 2.0})

@@ -39,9 +39,8 @@ from lime_planner.pipeline import Pipeline, PlanResult
 from lime_planner.pipeline.finish import contract_violations, sample_path
 from lime_planner.robot.ik import solve_ik
 from lime_planner.robot.model import Robot, home, load_robot
-from lime_planner.scene.files import load_scene
 from lime_planner.scene.plants.grasp_targets import canopy_targets
-from lime_planner.scene.scene import Scene
+from lime_planner.scene.scene import DEFAULT_FRAME, Scene
 
 OFFSET = (0.55, 0.0, 0.05)
 SEEDLING_SCALE = 24.0
@@ -59,7 +58,7 @@ def data_folder() -> Path:
 
 def load_scan(path: Path) -> Scene:
     """One scan in front of the arm."""
-    return load_scene(path, scale=SEEDLING_SCALE if "seedling" in path.name else 1.0, offset=OFFSET)
+    return Scene.load(path, frame_id=DEFAULT_FRAME, scale=SEEDLING_SCALE if "seedling" in path.name else 1.0, offset=OFFSET)
 
 
 def independent_checker(robot: Robot, scene: Scene, target: np.ndarray, settings: Settings) -> ExactChecker:

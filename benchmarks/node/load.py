@@ -25,7 +25,6 @@ from rcl_interfaces.srv import GetParameters
 from ros_harness import ROOT, Bench, Program, program
 
 from lime_planner.robot.model import home, load_robot
-from lime_planner.scene.files import save_scene
 from lime_planner.scene.plants.generator import generate_plant
 from lime_planner.scene.scene import Scene
 
@@ -44,7 +43,7 @@ def big_scene(path: Path, points: int) -> None:
     )
     labels = np.repeat([0, 1, 2], [points, points, len(plant.fruit_points)])
     everything = np.concatenate([leaf, stem, plant.fruit_points])
-    save_scene(path, Scene.from_points(everything, labels, frame_id="base", target_pose=plant.target_pose))
+    Scene.from_points(everything, labels, frame_id="base", target_pose=plant.target_pose).save(path)
 
 
 class Load:

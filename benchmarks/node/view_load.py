@@ -27,7 +27,6 @@ from lime_planner.robot.model import load_robot
 from lime_planner.ros.demo.client import DemoClient
 from lime_planner.ros.demo.demo import DEFAULT_SEED
 from lime_planner.ros.demo.processes import Corner, Processes
-from lime_planner.scene.files import save_scene
 from lime_planner.scene.plants.generator import generate_plant
 
 SLOWER = 1.10
@@ -48,7 +47,7 @@ def main() -> int:
     taken: dict[str, list[float]] = {name: [] for name in TURNS}
     with tempfile.TemporaryDirectory() as folder, Processes(corner, Path(folder) / "logs") as nodes, chromium() as browser:
         scene = Path(folder) / "scene.npz"
-        save_scene(scene, generate_plant(np.random.default_rng(DEFAULT_SEED)))
+        generate_plant(np.random.default_rng(DEFAULT_SEED)).save(scene)
         nodes.start("planner_node", "lime_planner.ros.nodes.planner_node", {"viewer_port": port, "iterations": ITERATIONS, "seed": 3})
         nodes.start("mock_arm_node", "lime_planner.ros.nodes.mock_arm_node", {})
         nodes.start("scene_node", "lime_planner.ros.nodes.scene_node", {"file": str(scene)})

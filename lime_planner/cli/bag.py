@@ -33,13 +33,15 @@ def read_bag(
 
     Raises:
         SceneError: see `read_recording`.
-        ParameterError: two classes share a label, or more than one fruit label.
+        ParameterError: two classes share a label.
     """
     from lime_planner.cli.plan import label_options
     from lime_planner.collision.arm_filter_live import make_arm_filter
-    from lime_planner.scene.from_recording import Frame, Labels, read_recording
+    from lime_planner.scene.from_clouds import Labels
+    from lime_planner.scene.from_recording import Frame, read_recording
 
     of = label_options(values)
-    labels = Labels(of["label_field"], of["leaf_labels"], of["stem_labels"], of["fruit_label"], of["ignored_labels"])
+    classes = (tuple(of[name]) for name in ("leaf_labels", "stem_labels", "fruit_labels", "ignored_labels"))
+    labels = Labels(of["label_field"], *classes)
     frame = Frame(robot.planning_frame, robot.joint_names, make_arm_filter(robot), padding_m)
     return read_recording(path, frame, topics=topics, at_s=at_s, labels=labels)

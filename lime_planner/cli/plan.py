@@ -134,31 +134,28 @@ def read_parameters(args: argparse.Namespace) -> dict[str, Any]:
 
 
 def label_options(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what the parameters say about labels, as `load_scene` takes it.
+    """Return what the parameters say about labels, as `Scene.load` takes it.
 
     Raises:
-        ParameterError: two classes share a label, or more than one fruit label.
+        ParameterError: two classes share a label.
     """
     from lime_planner.scene.labels import fruit_in_force
 
     of = {name: values.get(name, NODE_PARAMETERS[name].default) for name in _OF_FILES}
-    given = of.pop("fruit_labels")
-    fruit = fruit_in_force(of["leaf_labels"], of["stem_labels"], given, of["ignored_labels"])
-    if len(fruit) > 1:
-        raise ParameterError(f"fruit_labels: a file or a recording can have one, got {list(fruit)}")
-    return {**of, "fruit_label": fruit[0] if fruit else None}
+    classes = {name: value for name, value in of.items() if name != "label_field"}
+    return {**of, "fruit_labels": fruit_in_force(**classes)}
 
 
 def read_scene(args: argparse.Namespace, values: dict[str, Any]) -> Scene:
     """Load the scene with the labels that the parameters name; its frame is empty where the file names none.
 
     Raises:
-        SceneError: see `load_scene`.
+        SceneError: see `Scene.load`.
         ParameterError: see `label_options`.
     """
-    from lime_planner.scene.files import load_scene
+    from lime_planner.scene.scene import Scene
 
-    return load_scene(args.scene, scale=args.scale, offset=args.offset, default_frame="", **label_options(values))
+    return Scene.load(args.scene, scale=args.scale, offset=args.offset, **label_options(values))
 
 
 def run(args: argparse.Namespace) -> int:

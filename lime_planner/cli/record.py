@@ -114,9 +114,8 @@ def _from_bag(args: argparse.Namespace, values: dict[str, Any], settings: Settin
 
 def _report(args: argparse.Namespace, scene: Scene, start: Start | None, heard: list[str], missing: list[str]) -> int:
     from lime_planner.cli.json_output import emit_json, is_stdout
-    from lime_planner.scene.files import save_scene
 
-    save_scene(args.out, scene, start)
+    scene.save(args.out, start)
     counts = {"leaf": len(scene.leaf_points), "stem": len(scene.stem_points), "fruit": len(scene.fruit_points)}
     if args.json is not None:
         target = None if scene.target_pose is None else [float(v) for v in scene.target_pose]

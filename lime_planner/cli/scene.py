@@ -29,10 +29,11 @@ def run(args: argparse.Namespace) -> int:
     from lime_planner.cli.json_output import emit_json, is_stdout
     from lime_planner.output.console import console
     from lime_planner.output.progress import working
-    from lime_planner.scene.files import load_scene, load_start
+    from lime_planner.scene.files import load_start
+    from lime_planner.scene.scene import Scene
 
     with working("reading"):
-        scene, start = load_scene(args.scene, label_field=args.label_field), load_start(args.scene)
+        scene, start = Scene.load(args.scene, label_field=args.label_field), load_start(args.scene)
     if args.json is not None:
         emit_json(args.json, _figures(args.scene, scene, start))
     if is_stdout(args.json):

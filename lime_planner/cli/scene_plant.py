@@ -38,7 +38,6 @@ def run(args: argparse.Namespace) -> int:
 
     from lime_planner.cli.json_output import emit_json, is_stdout
     from lime_planner.output.progress import working
-    from lime_planner.scene.files import save_scene
     from lime_planner.scene.plants.generator import PlantOptions, generate_plant
 
     options = PlantOptions(
@@ -55,7 +54,7 @@ def run(args: argparse.Namespace) -> int:
         raise ParameterError(f"--seed is {args.seed}; it must be at least 0")
     with working("growing"):
         scene = generate_plant(np.random.default_rng(args.seed), options)
-        save_scene(args.out, scene)
+        scene.save(args.out)
     if args.json is not None:
         counts = {"leaf": len(scene.leaf_points), "stem": len(scene.stem_points), "fruit": len(scene.fruit_points)}
         target = None if scene.target_pose is None else scene.target_pose.tolist()

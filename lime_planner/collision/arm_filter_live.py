@@ -4,16 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 from functools import partial
-from typing import TYPE_CHECKING
 
 from lime_planner.collision.arm_filter import ArmSurface
 from lime_planner.core.types import Array
 from lime_planner.robot.model import Robot
 from lime_planner.scene.clean import clean_scene, remove_arm
+from lime_planner.scene.from_clouds import ArmFilter
 from lime_planner.scene.scene import Scene
-
-if TYPE_CHECKING:
-    from lime_planner.ros.inputs.scene_source import ArmFilter  # which needs ROS; recordings are read without
 
 _BEYOND_REACH_M = 0.1  #: what the arm's surface and the margins may reach beyond its reach
 _SLACK_M = 0.001

@@ -20,9 +20,8 @@ from lime_planner.pipeline.obstacles import Obstacles
 from lime_planner.pipeline.pipeline import Pipeline
 from lime_planner.planning.rrt_star import kernels as paper_kernels
 from lime_planner.robot.model import load_robot
-from lime_planner.scene.files import load_scene
 from lime_planner.scene.plants.generator import PlantOptions, generate_plant
-from lime_planner.scene.scene import Scene
+from lime_planner.scene.scene import DEFAULT_FRAME, Scene
 
 SCAN_OFFSET_M = (0.55, 0.0, 0.05)  # a scan's stem foot, in front of the arm
 SEEDLING_HEIGHT_M = 0.1  # a lower scan is a seedling ...
@@ -51,7 +50,7 @@ class SceneSpec:
     @classmethod
     def scan(cls, path: Path) -> SceneSpec:
         """A scan in front of the arm; a seedling is enlarged."""
-        scene = load_scene(path)
+        scene = Scene.load(path, frame_id=DEFAULT_FRAME)
         points = np.concatenate([scene.leaf_points, scene.stem_points])
         height = float(np.ptp(points[:, 2]))
         name = path.stem.removeprefix("tomato_").removesuffix("_pred").removesuffix("_human")
@@ -73,7 +72,7 @@ class SceneSpec:
     def load(self) -> Scene:
         """Load or grow the scene."""
         if self.path:
-            return load_scene(self.path, scale=self.scale, offset=self.offset_m)
+            return Scene.load(self.path, frame_id=DEFAULT_FRAME, scale=self.scale, offset=self.offset_m)
         return generate_plant(np.random.default_rng(self.seed), PlantOptions(density=self.density, n_leaves=self.leaves or None))
 
 

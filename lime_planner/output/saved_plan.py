@@ -16,7 +16,6 @@ from lime_planner.core.types import Array
 from lime_planner.motion.trajectory import Trajectory
 from lime_planner.pipeline.result import NUMBERS, PlanResult
 from lime_planner.robot.model import Robot
-from lime_planner.scene.files import load_scene
 from lime_planner.scene.scene import Scene
 
 
@@ -62,10 +61,7 @@ class SavedPlan:
         """
         placement = self.figures.get("placement") or {}
         place = self._scene_file() if path is None else path
-        options = {key: value for key, value in placement.items() if key != "fruit_labels"}
-        if "fruit_labels" in placement:
-            options["fruit_label"] = placement["fruit_labels"][0] if placement["fruit_labels"] else None
-        return load_scene(place, default_frame="", **options)
+        return Scene.load(place, **placement)
 
     def _scene_file(self) -> Path:
         name = self.figures.get("scene")

@@ -14,7 +14,6 @@ from rclpy.parameter import Parameter as RosParameter
 
 from lime_planner.core.errors import ParameterError
 from lime_planner.core.parameters import NODE_PARAMETERS, PARAMETERS, Parameter, Settings, settings_from, validate
-from lime_planner.ros.inputs.clouds import COST_FIELD
 from lime_planner.scene import point_cloud2
 from lime_planner.scene.labels import fruit_in_force
 
@@ -80,7 +79,7 @@ def snapshot_from(values: Mapping[str, Any]) -> Snapshot:
     frozen: dict[str, Any] = {name: tuple(value) if isinstance(value, list) else value for name, value in node.items()}
     classes = {name: frozen[name] for name in ("leaf_labels", "stem_labels", "fruit_labels", "ignored_labels")}
     frozen["fruit_labels"] = fruit_in_force(**classes)
-    if frozen["label_field"] in ("", *point_cloud2.XYZ, COST_FIELD):
+    if frozen["label_field"] in ("", *point_cloud2.XYZ, point_cloud2.COST_FIELD):
         raise ParameterError(f"label_field is {frozen['label_field']!r}; it must name a field that holds nothing but the class")
     return Snapshot(settings_from({name: value for name, value in checked.items() if name in PARAMETERS}), NodeSettings(**frozen))
 

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections import deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -103,34 +102,57 @@ class Recording:
         if not 0.0 <= at_s <= self.duration_s:
             raise SceneError(f"{self.path}: is {self.duration_s:.3f} s long; --at {at_s:g} lies outside")
 
-    def newest(self, topic: str, kind: str, at_s: float) -> Recorded:
+    def newest(self, topic: str, kind: str, at_s: float, usable: Callable[[Any], bool] = lambda _: True) -> Recorded:
         """Return the newest message of a topic at a time.
 
         Args:
             topic: its full name.
             kind: the type that it must have.
             at_s: from the recording's beginning [s].
+            usable: tells whether a message counts; where none does, the newest one is returned.
 
         Raises:
             SceneError: no such topic, another type, or its first message comes later.
         """
         connections = self._connections(topic, kind)
-        begin, until = int(self._reader.start_time), int(self._reader.start_time) + round(at_s * _NS) + 1
-        window: int = _FIRST_WINDOW_NS
+        begin = int(self._reader.start_time)
+        until = begin + round(at_s * _NS)
+        newest: Recorded | None = None
+        window = _FIRST_WINDOW_NS
+        while until >= begin:
+            since = max(begin, until - window)
+            for recorded in self._backwards(connections, since, until):
+                if usable(recorded.msg):
+                    return recorded
+                newest = newest or recorded
+            until, window = since - 1, window * 4
+        if newest is not None:
+            return newest
         with self._readable():
-            while True:
-                since = max(begin, until - window)
-                last = deque(self._reader.messages(connections, start=since, stop=until), maxlen=1)
-                if last or since == begin:
-                    break
-                window *= 4
-            if last:
-                connection, time_ns, raw = last[0]
-                return Recorded(topic, (time_ns - begin) / _NS, self._reader.deserialize(raw, connection.msgtype))
             first = next(iter(self._reader.messages(connections)), None)
         if first is None:
             raise SceneError(f"{self.path}: {topic} has no message")
         raise SceneError(f"{self.path}: the first message of {topic} comes at {(first[1] - begin) / _NS:.3f} s, after --at {at_s:g}")
+
+    def between(self, topic: str, kind: str, since_s: float, until_s: float) -> list[Recorded]:
+        """Return the messages of a topic recorded within a span of time, from the recording's beginning [s], in their order.
+
+        Raises:
+            SceneError: no such topic, or another type.
+        """
+        begin = int(self._reader.start_time)
+        since, until = begin + round(since_s * _NS), begin + round(until_s * _NS)
+        return list(self._backwards(self._connections(topic, kind), max(since, begin), until))[::-1]
+
+    def _backwards(self, connections: list[Any], since: int, until: int) -> Iterator[Recorded]:
+        """Yield the messages from `until` back to `since` [ns], both included; only those that are asked for are decoded."""
+        begin = int(self._reader.start_time)
+        with self._readable():
+            raw = list(self._reader.messages(connections, start=since, stop=until + 1)) if until >= since else []
+        for connection, time_ns, content in reversed(raw):
+            with self._readable():
+                msg = self._reader.deserialize(content, connection.msgtype)
+            yield Recorded(connection.topic, (time_ns - begin) / _NS, msg)
 
     def transforms(self, at_s: float) -> TransformTree:
         """Return the transforms of `/tf_static` and `/tf` as they were at a time; broken ones are left out."""

@@ -1,4 +1,4 @@
-"""Scene files: `.npz`, and PLY and PCD with an integer label, to and from `Scene`.
+"""Scene files: `.npz`, and PLY and PCD with an integer label, to and from plain arrays (`Scene.load`, `Scene.save`).
 
 An `.npz` holds `points` (N, 3) [m] and `labels` (N,), and optionally `permeability_cost` (N,), `target_pose` (7,), `frame_id`,
 `stake_points` (S, 3), and the ground truth of generated plants: `leaf_ids` (N,), `leaf_triangles` (L, 3, 3), `leaf_triangle_ids`
@@ -8,9 +8,8 @@ An `.npz` holds `points` (N, 3) [m] and `labels` (N,), and optionally `permeabil
 
 from __future__ import annotations
 
-import contextlib
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,10 +17,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from lime_planner.core.atomic_files import replacing
 from lime_planner.core.errors import SceneError
-from lime_planner.core.types import Array, Float32, UInt8
+from lime_planner.core.types import Array
 from lime_planner.scene.ply_pcd import read_cloud, write_cloud
-from lime_planner.scene.scene import DEFAULT_FRAME, FRUIT, LEAF, STEM, Scene
 
 SUFFIXES = (".npz", ".ply", ".pcd")
 
@@ -30,7 +29,7 @@ _OPTIONAL = ("permeability_cost", "target_pose", "stake_points", "leaf_ids", *_T
 
 _DISPLACEMENTS = ("stem_displacement_m", "leaf_displacement_m")
 
-Members = dict[str, npt.NDArray[Any]]
+Members = dict[str, Any]
 
 
 @dataclass(frozen=True)
@@ -46,63 +45,33 @@ class Start:
     q: Array
 
 
-def load_scene(
-    path: str | os.PathLike[str],
-    *,
-    scale: float = 1.0,
-    offset: npt.ArrayLike | None = None,
-    label_field: str = "label",
-    default_frame: str = DEFAULT_FRAME,
-    leaf_labels: Sequence[int] = (LEAF,),
-    stem_labels: Sequence[int] = (STEM,),
-    fruit_label: int | None = FRUIT,
-    ignored_labels: Sequence[int] = (),
-) -> Scene:
-    """Load a scene, enlarge it by `scale` about its origin, then move it by `offset`; its target pose goes with it.
+def read_members(path: str | os.PathLike[str], label_field: str) -> Members:
+    """Read the arrays of a scene file as they are written there.
 
     Args:
         path: an `.npz`, `.ply` or `.pcd` file.
-        scale: metres for each unit of the file.
-        offset: (3,) [m] in the planning frame.
         label_field: name of the label in PLY and PCD files; an `.npz` has `labels`.
-        default_frame: the frame of a file that names none.
-        leaf_labels: see `Scene.from_points`, as the next three.
-        stem_labels: the known impermeable labels.
-        fruit_label: the label of fruit; the default gives way to classes that name it.
-        ignored_labels: the labels to drop.
+
+    Returns:
+        `points` (N, 3) and `labels` (N,), in the types of the file, and what it has of `permeability_cost` (N,), `target_pose`,
+        `frame_id` (text), `stake_points`, `leaf_ids`, and the ground truth of generated plants, unchecked.
 
     Raises:
-        SceneError: the file is missing, of another kind, truncated, empty, without a needed field, a field does not fit, or two
-            classes share a label.
+        SceneError: the file is missing, of another kind, truncated, empty, or without a needed field.
     """
     path = Path(path)
-    suffix = path.suffix.lower()
-    if suffix not in SUFFIXES:
-        raise SceneError(f"{path}: a scene file ends in one of {', '.join(SUFFIXES)}, not in {suffix or 'nothing'!r}")
+    suffix = _suffix(path)
     if not path.is_file():
         raise SceneError(f"{path}: there is no such file")
-    members = _read_npz(path) if suffix == ".npz" else read_cloud(path, label_field)
-    if not len(members["points"]):
+    members: Members = _read_npz(path) if suffix == ".npz" else {**read_cloud(path, label_field)}
+    if not len(np.atleast_1d(members["points"])):
         raise SceneError(f"{path}: holds no points")
-    frame = str(members.pop("frame_id", default_frame)) or default_frame
-    try:
-        displacements = {name: _displacement(name, members.pop(name)) for name in _DISPLACEMENTS if name in members}
-        scene = Scene.from_points(
-            members.pop("points"),
-            members.pop("labels"),
-            frame_id=frame,
-            leaf_labels=leaf_labels,
-            stem_labels=stem_labels,
-            fruit_label=fruit_label,
-            ignored_labels=ignored_labels,
-            **members,
-            **displacements,
-        )
-        if not scene.n_points:
-            raise SceneError(f"none of its points can be used ({_listed(scene.counts)})")
-        return scene.placed(scale, (0.0, 0.0, 0.0) if offset is None else offset)
-    except SceneError as error:
-        raise SceneError(f"{path}: {error}") from error
+    if "frame_id" in members:
+        members["frame_id"] = _text(path, "frame_id", members["frame_id"])
+    for name in _DISPLACEMENTS:
+        if name in members:
+            members[name] = _displacement(path, name, members[name])
+    return members
 
 
 def load_start(path: str | os.PathLike[str]) -> Start | None:
@@ -119,52 +88,36 @@ def load_start(path: str | os.PathLike[str]) -> Start | None:
             if "start" not in archive.files or "start_joints" not in archive.files:
                 return None
             q, names = np.asarray(archive["start"], dtype=np.float64), tuple(map(str, archive["start_joints"]))
-    except Exception as error:  # as for the scene itself
+    except Exception as error:  # as in `_read_npz`
         raise SceneError(f"{path}: its start cannot be read ({type(error).__name__}: {error})") from error
     if q.shape != (len(names),) or not np.isfinite(q).all():
         raise SceneError(f"{path}: start has shape {q.shape}, expected ({len(names)},) finite angles, one for each of start_joints")
     return Start(names, q)
 
 
-def save_scene(path: str | os.PathLike[str], scene: Scene, start: Start | None = None) -> None:
-    """Write a scene; a reader never sees half a file. PLY and PCD keep the points, their labels and costs, and nothing else.
+def write_members(path: str | os.PathLike[str], members: Mapping[str, Any], start: Start | None = None) -> None:
+    """Write a scene file; a reader never sees half of it.
 
     Args:
         path: an `.npz`, `.ply` or `.pcd` file.
-        scene: what to write.
+        members: see `read_members`; of these a PLY or PCD keeps the points, the labels and the costs alone.
         start: where the arm was, in an `.npz` only.
 
     Raises:
         SceneError: the suffix is unknown or the file cannot be written.
     """
     path = Path(path)
-    suffix = path.suffix.lower()
-    if suffix not in SUFFIXES:
-        raise SceneError(f"{path}: a scene file ends in one of {', '.join(SUFFIXES)}, not in {suffix or 'nothing'!r}")
-    temporary = path.with_name(f".{path.stem}-{os.getpid()}{suffix}")
+    suffix = _suffix(path)
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        if suffix == ".npz":
-            _write_npz(temporary, scene, start)
-        else:
-            points, labels, costs = labelled_points(scene)
-            write_cloud(temporary, points, labels, costs if (costs != 1.0).any() else None)
-        os.replace(temporary, path)
+        with replacing(path) as temporary:
+            if suffix == ".npz":
+                arm: Members = {} if start is None else {"start": start.q, "start_joints": np.array(start.joint_names)}
+                with temporary.open("wb") as file:  # NumPy would put another suffix after `.NPZ`
+                    np.savez_compressed(file, **{**members, **arm})
+            else:
+                write_cloud(temporary, members["points"], members["labels"], members.get("permeability_cost"))
     except OSError as error:
         raise SceneError(f"{path}: cannot be written ({error.strerror or error})") from error
-    finally:
-        with contextlib.suppress(OSError):
-            temporary.unlink(missing_ok=True)
-
-
-def labelled_points(scene: Scene) -> tuple[Float32, UInt8, Float32]:
-    """Return the scene as one cloud: points (N, 3) [m], labels (N,), permeability costs (N,); leaves, then stems, then fruit."""
-    points = np.concatenate([scene.leaf_points, scene.stem_points, scene.fruit_points])
-    sizes = (len(scene.leaf_points), len(scene.stem_points), len(scene.fruit_points))
-    labels = np.repeat(np.array([LEAF, STEM, FRUIT], dtype=np.uint8), sizes)
-    costs = np.ones(len(points), dtype=np.float32)
-    costs[: sizes[0]] = scene.leaf_costs
-    return points, labels, costs
 
 
 def _read_npz(path: Path) -> Members:
@@ -189,27 +142,21 @@ def _one_line(text: str) -> str:
     return " ".join("".join(c if c.isprintable() else " " for c in text).split())
 
 
-def _write_npz(path: Path, scene: Scene, start: Start | None) -> None:
-    points, labels, costs = labelled_points(scene)
-    members: dict[str, Any] = {"points": points, "labels": labels, "frame_id": np.array(scene.frame_id)}
-    if (costs != 1.0).any():
-        members["permeability_cost"] = costs
-    if scene.target_pose is not None:
-        members["target_pose"] = scene.target_pose
-    if scene.leaf_ids is not None:
-        members["leaf_ids"] = np.concatenate([scene.leaf_ids, np.full(len(points) - len(scene.leaf_ids), -1, dtype=np.int32)])
-    members.update({name: getattr(scene, name) for name in _TRUTH if getattr(scene, name) is not None})
-    members.update({name: np.float64(value) for name in _DISPLACEMENTS if (value := getattr(scene, name)) > 0.0})
-    if start is not None:
-        members.update(start=start.q, start_joints=np.array(start.joint_names))
-    np.savez_compressed(path, **members)
+def _suffix(path: Path) -> str:
+    suffix = path.suffix.lower()
+    if suffix not in SUFFIXES:
+        raise SceneError(f"{path}: a scene file ends in one of {', '.join(SUFFIXES)}, not in {suffix or 'nothing'!r}")
+    return suffix
 
 
-def _displacement(name: str, value: npt.NDArray[Any]) -> float:
-    if value.ndim or value.dtype.kind not in "iuf" or not 0.0 <= value < np.inf:
-        raise SceneError(f"{name}: {value!r} is not a finite number of at least 0")
-    return float(value)
+def _text(path: Path, name: str, value: npt.NDArray[Any]) -> str:
+    if value.size != 1 or value.dtype.kind not in "US":
+        raise SceneError(f"{path}: {name}: of type {value.dtype} and shape {value.shape}, expected one text")
+    text = value.item()
+    return text.decode("utf-8", errors="replace") if isinstance(text, bytes) else str(text)
 
 
-def _listed(counts: Any) -> str:
-    return ", ".join(f"{value} {name}" for name, value in counts.items() if value)
+def _displacement(path: Path, name: str, value: npt.NDArray[Any]) -> float:
+    if value.size != 1 or value.dtype.kind not in "iuf" or not 0.0 <= value.item() < np.inf:
+        raise SceneError(f"{path}: {name}: {value!r} is not a finite number of at least 0")
+    return float(value.item())

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import bisect
 import dataclasses
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -12,16 +13,14 @@ import numpy as np
 
 from lime_planner.core.errors import ProblemError, SceneError
 from lime_planner.core.geometry import matrix_to_pose, pose_to_matrix
+from lime_planner.core.refusal import Refusal
 from lime_planner.core.status import Status
 from lime_planner.core.transforms import TransformTree, clean_name
 from lime_planner.core.types import Array
 from lime_planner.scene.bag import CLOUD, JOINTS, POSE, Recorded, Recording
 from lime_planner.scene.files import Start
-from lime_planner.scene.point_cloud2 import decode_cloud
-from lime_planner.scene.scene import FRUIT, LEAF, STEM, Scene, merged
-
-#: Removes the arm from a cloud: (scene, configuration at the cloud's time or None, padding [m]) -> scene.
-ArmFilter = Callable[[Scene, Array | None, float], Scene]
+from lime_planner.scene.from_clouds import CLOUDS, ArmFilter, Labels, belonging_together, scene_of_cloud
+from lime_planner.scene.scene import Scene, merged
 
 #: The inputs of the planner that a recording may hold, and their types.
 INPUTS: Mapping[str, str] = {
@@ -31,24 +30,10 @@ INPUTS: Mapping[str, str] = {
     "grasp_target": POSE,
     "joint_states": JOINTS,
 }
-_COST = "permeability_cost"
-
-
-class FrameError(SceneError):
-    """No transform into the planning frame is known; the text names both frames."""
-
-    status = Status.TF_ERROR
-
-
-@dataclass(frozen=True)
-class Labels:
-    """How a labelled cloud is read; see `Scene.from_points`."""
-
-    field: str = "label"
-    leaf: Sequence[int] = (LEAF,)
-    stem: Sequence[int] = (STEM,)
-    fruit: int | None = FRUIT
-    ignored: Sequence[int] = ()
+#: How far joint states reach back from a cloud, and how long later ones are waited for, as in the node [s].
+_HISTORY_S, _SETTLING_S = 5.0, 1.0
+#: A cloud's stamp may lie this far before the first joint state before the arm's state counts as unknown [s].
+_STAMP_SLACK_S = 0.2
 
 
 @dataclass(frozen=True)
@@ -97,7 +82,7 @@ def read_recording(
 
     Raises:
         SceneError: the recording cannot be read; a topic is missing, of another type, or comes later; a message cannot be used.
-        FrameError: a message is in a frame from which no recorded transform leads to the planning frame.
+        Refusal: TF_ERROR, a message is in a frame from which no recorded transform leads to the planning frame.
     """
     given = dict(topics or {})
     with Recording(path) as recording:
@@ -108,8 +93,10 @@ def read_recording(
         target = reader.newest("grasp_target")
         if target is not None:
             scene = dataclasses.replace(scene, target_pose=reader.pose(target))
-        state = reader.newest("joint_states")
+        state = reader.newest_state(at)
         start = None if state is None else Start(tuple(frame.joint_names), _configuration(state, frame.joint_names))
+        if state is not None:
+            reader.heard[state.topic] = state.at_s
         return RecordedScene(scene, start, reader.heard)
 
 
@@ -125,31 +112,45 @@ class _Reader:
         self._topics = {name: topic for name, topic in found.items() if topic}
         if {"leaf_cloud", "stem_cloud"} & topics.keys() and "labelled_cloud" not in topics:
             self._topics.pop("labelled_cloud", None)  # what was asked for by name wins
-        elif "labelled_cloud" in self._topics and ("labelled_cloud" in topics or "stem_cloud" not in self._topics):
+        elif "labelled_cloud" in topics:
             self._topics = {name: topic for name, topic in self._topics.items() if name not in ("leaf_cloud", "stem_cloud")}
         self._transforms: TransformTree | None = None
         self.heard: dict[str, float] = {}
 
-    def newest(self, name: str, at_s: float | None = None) -> Recorded | None:
+    def newest(self, name: str) -> Recorded | None:
         """Return the newest message of an input; None where the recording has no such topic."""
         topic = self._topics.get(name)
         if topic is None:
             return None
-        recorded = self._recording.newest(topic, INPUTS[name], self._at_s if at_s is None else at_s)
-        if at_s is None:
-            self.heard[topic] = recorded.at_s
+        recorded = self._recording.newest(topic, INPUTS[name], self._at_s)
+        self.heard[topic] = recorded.at_s
         return recorded
 
+    def newest_state(self, at_s: float) -> Recorded | None:
+        """Return the newest joint state that is about the arm at a time; fingers may come in messages of their own."""
+        topic, arm = self._topics.get("joint_states"), set(self._frame.joint_names)
+        return None if topic is None else self._recording.newest(topic, JOINTS, at_s, lambda msg: not arm.isdisjoint(msg.name))
+
     def scene(self) -> Scene:
-        """Return the scene of the clouds, without a target."""
-        names = [name for name in ("leaf_cloud", "stem_cloud", "labelled_cloud") if name in self._topics]
-        if not {"stem_cloud", "labelled_cloud"} & set(names):
-            there = ", ".join(self._recording.topics(CLOUD)) or "none"
+        """Return the scene of the clouds that belong together, without a target."""
+        there = [name for name in CLOUDS if name in self._topics]
+        if not {"stem_cloud", "labelled_cloud"} & set(there):
+            known = ", ".join(self._recording.topics(CLOUD)) or "none"
             raise SceneError(
-                f"{self._recording.path}: has no stem_cloud and no labelled_cloud; name one with --stem or --labelled: {there}"
+                f"{self._recording.path}: has no stem_cloud and no labelled_cloud; name one with --stem or --labelled: {known}"
             )
-        parts = [self._part(name, recorded) for name in names if (recorded := self.newest(name)) is not None]
-        return merged(parts, self._frame.planning_frame)
+        clouds: dict[str, Recorded] = {}
+        for name in there:
+            try:
+                clouds[name] = self._recording.newest(self._topics[name], CLOUD, self._at_s)
+            except SceneError:
+                # Where both kinds are recorded, one that begins later does not count yet.
+                if "labelled_cloud" not in there or len(there) == 1 or (name == there[-1] and "stem_cloud" not in clouds):
+                    raise
+        names = belonging_together({name: recorded.at_s for name, recorded in clouds.items()})
+        for name in names:
+            self.heard[clouds[name].topic] = clouds[name].at_s
+        return merged([self._part(name, clouds[name]) for name in names], self._frame.planning_frame)
 
     def pose(self, recorded: Recorded) -> Array:
         """Return a target x y z qx qy qz qw in the planning frame."""
@@ -161,34 +162,41 @@ class _Reader:
         return matrix_to_pose(self._transform(header.frame_id, recorded.topic) @ T_frame_tool)
 
     def _part(self, name: str, recorded: Recorded) -> Scene:
-        labelled, how = name == "labelled_cloud", self._labels
-        cloud = decode_cloud(recorded.msg, recorded.topic, required=(how.field,) if labelled else (), optional=(_COST,))
-        T = self._transform(recorded.msg.header.frame_id, recorded.topic)
-        with np.errstate(invalid="ignore", over="ignore"):
-            points = (cloud.points @ T[:3, :3].T.astype(np.float32) + T[:3, 3].astype(np.float32)).astype(np.float32)
-        label = LEAF if name == "leaf_cloud" else STEM
-        try:
-            scene = Scene.from_points(
-                points,
-                cloud.columns[how.field] if labelled else np.full(len(points), label, np.int64),
-                frame_id=self._frame.planning_frame,
-                leaf_labels=how.leaf if labelled else (LEAF,),
-                stem_labels=how.stem if labelled else (STEM,),
-                fruit_label=how.fruit if labelled else None,
-                ignored_labels=how.ignored if labelled else (),
-                permeability_cost=cloud.columns.get(_COST),
-            )
-        except SceneError as error:
-            raise SceneError(f"{recorded.topic}: {error}") from None
-        return self._frame.arm_filter(scene, self._arm_at(recorded.at_s), self._frame.padding_m)
+        frame = self._frame
+        scene = scene_of_cloud(
+            recorded.msg,
+            name,
+            self._labels,
+            frame.planning_frame,
+            lambda header: self._transform(header.frame_id, recorded.topic),
+            topic=recorded.topic,
+        )
+        return frame.arm_filter(scene, self._arm_at(recorded), frame.padding_m)
 
-    def _arm_at(self, at_s: float) -> Array | None:
-        """Return where the arm was when a cloud was recorded; None before its first state."""
-        try:
-            state = self.newest("joint_states", at_s)
-        except SceneError:
+    def _arm_at(self, cloud: Recorded) -> Array | None:
+        """Return where the arm was at a cloud's stamp, interpolated; None where its recorded states do not reach back to it."""
+        stamp_s = _stamp_s(cloud.msg.header)
+        if "joint_states" not in self._topics:
             return None
-        return None if state is None else _configuration(state, self._frame.joint_names)
+        arm, topic = set(self._frame.joint_names), self._topics["joint_states"]
+        near = self._recording.between(topic, JOINTS, cloud.at_s - _HISTORY_S, cloud.at_s + _SETTLING_S)
+        states = [recorded for recorded in near if not arm.isdisjoint(recorded.msg.name)]
+        stamped = sorted((state for state in states if _stamp_s(state.msg.header) > 0.0), key=lambda state: _stamp_s(state.msg.header))
+        if stamp_s <= 0.0 or not stamped:
+            before = [state for state in states if state.at_s <= cloud.at_s]
+            return _configuration(before[-1], self._frame.joint_names) if before else None
+        stamps = [_stamp_s(state.msg.header) for state in stamped]
+        after = bisect.bisect_left(stamps, stamp_s)
+        if after == 0:
+            return _configuration(stamped[0], self._frame.joint_names) if stamps[0] - stamp_s <= _STAMP_SLACK_S else None
+        q_before = _configuration(stamped[after - 1], self._frame.joint_names)
+        if after == len(stamped):
+            return q_before
+        share = (stamp_s - stamps[after - 1]) / max(stamps[after] - stamps[after - 1], 1e-9)
+        step = _configuration(stamped[after], self._frame.joint_names) - q_before
+        # A driver that reports within half a turn jumps by a whole one; no joint really moves that far between two states.
+        step = np.where(np.abs(step) > np.pi, np.remainder(step + np.pi, 2.0 * np.pi) - np.pi, step)
+        return np.asarray(q_before + share * step)
 
     def _transform(self, frame_id: str, topic: str) -> Array:
         source, target = clean_name(frame_id), self._frame.planning_frame
@@ -201,8 +209,15 @@ class _Reader:
         T = self._transforms.find(target, source)
         if T is None:
             known = ", ".join(self._transforms.frames) or "none"
-            raise FrameError(f"{topic}: no transform from {source!r} to {target!r} in the recording; /tf_static and /tf know: {known}")
+            raise Refusal(
+                Status.TF_ERROR, f"{topic}: no transform from {source!r} to {target!r} in the recording; /tf_static and /tf know: {known}"
+            )
         return T
+
+
+def _stamp_s(header: Any) -> float:
+    """Return a header's stamp [s]; 0.0 where it has none."""
+    return float(header.stamp.sec) + float(header.stamp.nanosec) * 1e-9
 
 
 def _configuration(recorded: Recorded, joint_names: Sequence[str]) -> Array:

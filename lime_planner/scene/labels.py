@@ -14,19 +14,16 @@ def fruit_in_force(
     stem_labels: Sequence[int],
     fruit_labels: Sequence[int],
     ignored_labels: Sequence[int],
-    *,
-    fruit_name: str = "fruit_labels",
 ) -> tuple[int, ...]:
     """Check that every label has one meaning, and return the fruit's labels that hold.
 
-    The default of the fruit gives way to classes that name its label: whoever numbers his classes otherwise need not know of it.
+    The default of the fruit gives way to classes that name its label: who numbers the classes otherwise need not know of it.
 
     Args:
         leaf_labels: of leaves.
         stem_labels: of stems.
         fruit_labels: of fruit, given or the default.
         ignored_labels: of what is left out.
-        fruit_name: what the fruit's labels are called where they come from.
 
     Raises:
         ParameterError: two classes share a label; it names both.
@@ -35,22 +32,9 @@ def fruit_in_force(
     if fruit == tuple(NODE_PARAMETERS["fruit_labels"].default):
         named = {*leaf_labels, *stem_labels, *ignored_labels}
         fruit = tuple(label for label in fruit if label not in named)
-    classes = {"leaf_labels": leaf_labels, "stem_labels": stem_labels, fruit_name: fruit, "ignored_labels": ignored_labels}
+    classes = {"leaf_labels": leaf_labels, "stem_labels": stem_labels, "fruit_labels": fruit, "ignored_labels": ignored_labels}
     for (first, of_first), (second, of_second) in itertools.combinations(classes.items(), 2):
         both = sorted(set(of_first) & set(of_second))
         if both:
             raise ParameterError(f"{first} and {second} share {', '.join(map(str, both))}; a class has one meaning")
     return fruit
-
-
-def fruit_label_in_force(
-    leaf_labels: Sequence[int], stem_labels: Sequence[int], fruit_label: int | None, ignored_labels: Sequence[int]
-) -> int | None:
-    """Do the same where fruit has one label or none.
-
-    Raises:
-        ParameterError: two classes share a label; it names both.
-    """
-    given = () if fruit_label is None else (fruit_label,)
-    fruit = fruit_in_force(leaf_labels, stem_labels, given, ignored_labels, fruit_name="fruit_label")
-    return fruit[0] if fruit else None

@@ -10,11 +10,12 @@ import numpy as np
 import numpy.typing as npt
 
 from lime_planner.core.errors import SceneError
-from lime_planner.core.types import Float32
 
 #: NumPy types (without byte order) of `PointField.datatype`.
 TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 XYZ = ("x", "y", "z")
+#: The optional field of leaf points that scales their cost.
+COST_FIELD = "permeability_cost"
 
 
 @dataclass(frozen=True)
@@ -22,11 +23,11 @@ class Cloud:
     """A decoded cloud.
 
     Attributes:
-        points: (N, 3) float32 [m], in the message's frame; rows may be NaN.
+        points: (N, 3) float32, or float64 where a coordinate is a wider number than that [m], in the message's frame; rows may be NaN.
         columns: the further fields asked for and present, (N,) each, in their own types.
     """
 
-    points: Float32
+    points: npt.NDArray[np.floating]
     columns: Mapping[str, npt.NDArray[np.generic]]
 
 
@@ -107,7 +108,7 @@ def decode_cloud(msg: Any, topic: str, *, required: tuple[str, ...] = (), option
     )
     strides = (int(msg.row_step) if msg.height > 1 else count * int(msg.point_step), int(msg.point_step))
     table = np.ndarray((int(msg.height), int(msg.width)), dtype=layout, buffer=memoryview(msg.data), strides=strides)
-    points = np.empty((count, 3), np.float32)
+    points = np.empty((count, 3), np.result_type(np.float32, *(table.dtype[name] for name in XYZ)))
     with np.errstate(over="ignore", invalid="ignore"):
         for axis, name in enumerate(XYZ):
             points[:, axis] = table[name].reshape(-1)

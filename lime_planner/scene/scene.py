@@ -11,8 +11,10 @@ import numpy as np
 import numpy.typing as npt
 
 from lime_planner.core.errors import ParameterError, SceneError
-from lime_planner.core.types import Array, Bool, Float32, Int32
-from lime_planner.scene.labels import fruit_label_in_force
+from lime_planner.core.types import Array, Float32, Int32, UInt8
+from lime_planner.scene.arrays import any_of, column, finite_rows, frozen, numbers, points_of, whole_labels
+from lime_planner.scene.files import Start, read_members, write_members
+from lime_planner.scene.labels import fruit_in_force
 
 #: Labels of the points in scene files and clouds; every other label is impermeable.
 LEAF, STEM, FRUIT = 0, 1, 2
@@ -24,21 +26,11 @@ FRUIT_LINK_M = 0.012  #: fruit points closer than this belong to one fruit, or t
 FRUIT_EXTENT_M = 0.065  #: a cluster longer than this along any axis is several fruits (a lime measures 4-5 cm)
 FRUIT_RADIUS_M = 0.03  #: what is let go of such a cluster: its points this close to the target
 
-
-def _frozen(name: str, value: Any, dtype: Any, shape: tuple[int, ...]) -> npt.NDArray[Any]:
-    """Copy `value` to a read-only array of this shape (-1: any length); SceneError names the field that does not fit."""
-    try:
-        array = np.array(value, dtype=dtype, order="C")
-    except (TypeError, ValueError) as error:
-        raise SceneError(f"{name}: cannot be read as {np.dtype(dtype)} numbers ({error})") from error
-    if array.size == 0 and shape[0] == -1 and array.ndim == 1:
-        array = array.reshape(0, *shape[1:])
-    if array.ndim != len(shape) or any(want not in (-1, got) for want, got in zip(shape, array.shape, strict=True)):
-        raise SceneError(f"{name}: shape {array.shape}, expected {str(shape).replace('-1', 'N')}")
-    if array.dtype.kind == "f" and not np.isfinite(array).all():
-        raise SceneError(f"{name}: {int((~np.isfinite(array)).sum())} numbers are not finite")
-    array.flags.writeable = False
-    return array
+_TRUTH = ("leaf_triangles", "leaf_triangle_ids", "fruit_centres", "fruit_radii")
+_DISPLACEMENTS = ("stem_displacement_m", "leaf_displacement_m")
+#: What moves and grows with the points, and what only grows.
+_MOVED = ("points", "leaf_points", "stem_points", "fruit_points", "stake_points", "leaf_triangles", "fruit_centres", "target_pose")
+_SCALED = ("fruit_radii", *_DISPLACEMENTS)
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
@@ -97,7 +89,7 @@ class Scene:
         for name, (dtype, shape) in layout.items():
             value = getattr(self, name)
             if value is not None:
-                object.__setattr__(self, name, _frozen(name, value, dtype, shape))
+                object.__setattr__(self, name, frozen(name, value, dtype, shape))
         if (self.leaf_costs < 0).any():
             raise SceneError(f"permeability_cost: {float(self.leaf_costs.min()):g} is below its limit 0")
         if self.target_pose is not None and np.linalg.norm(self.target_pose[3:]) < 1e-6:
@@ -114,31 +106,85 @@ class Scene:
         return len(self.leaf_points) + len(self.stem_points) + len(self.fruit_points)
 
     @classmethod
-    def load(cls, path: str | os.PathLike[str], *, frame_id: str = "", **options: Any) -> Scene:
-        """Load a scene file: `.npz`, `.ply` or `.pcd`.
+    def load(
+        cls,
+        path: str | os.PathLike[str],
+        *,
+        frame_id: str = "",
+        scale: float = 1.0,
+        offset: npt.ArrayLike | None = None,
+        label_field: str = "label",
+        leaf_labels: Sequence[int] = (LEAF,),
+        stem_labels: Sequence[int] = (STEM,),
+        fruit_labels: Sequence[int] = (FRUIT,),
+        ignored_labels: Sequence[int] = (),
+    ) -> Scene:
+        """Load a scene file, enlarge it by `scale` about its origin, then move it by `offset`; its target pose goes with it.
 
         Args:
-            path: the file.
+            path: an `.npz`, `.ply` or `.pcd` file.
             frame_id: the frame of a file that names none; empty: the planning frame of whatever arm plans in it.
-            **options: `scale`, `offset`, `label_field`, `leaf_labels`, `stem_labels`, `fruit_label`, `ignored_labels` of
-                `lime_planner.scene.files.load_scene`.
+            scale: metres for each unit of the file.
+            offset: (3,) [m] in the planning frame. It is added in double precision, so that a map's coordinates lose nothing.
+            label_field: name of the label in PLY and PCD files; an `.npz` has `labels`.
+            leaf_labels: see `from_points`, as the next three.
+            stem_labels: the known impermeable labels.
+            fruit_labels: the labels of fruit; the default gives way to classes that name it.
+            ignored_labels: the labels to drop.
 
         Raises:
-            SceneError: the file cannot be used.
+            SceneError: the file is missing, of another kind, truncated, empty, without a needed field, a field does not fit, or two
+                classes share a label.
         """
-        from lime_planner.scene.files import load_scene
+        members = read_members(path, label_field)
+        frame = str(members.pop("frame_id", "")) or frame_id
+        try:
+            members = _placed(members, scale, (0.0, 0.0, 0.0) if offset is None else offset)
+            scene = cls.from_points(
+                members.pop("points"),
+                members.pop("labels"),
+                frame_id=frame,
+                leaf_labels=leaf_labels,
+                stem_labels=stem_labels,
+                fruit_labels=fruit_labels,
+                ignored_labels=ignored_labels,
+                **members,
+            )
+        except SceneError as error:
+            raise SceneError(f"{path}: {error}") from error
+        if not scene.n_points:
+            dropped = ", ".join(f"{count} {name}" for name, count in scene.counts.items() if count)
+            raise SceneError(f"{path}: none of its points can be used ({dropped})")
+        return scene
 
-        return load_scene(path, default_frame=frame_id, **options)
+    def save(self, path: str | os.PathLike[str], start: Start | None = None) -> None:
+        """Write a scene file; a reader never sees half of it. PLY and PCD keep the points, their labels and costs, and nothing else.
 
-    def save(self, path: str | os.PathLike[str]) -> None:
-        """Write a scene file; a PLY or PCD keeps points, labels and costs only.
+        Args:
+            path: an `.npz`, `.ply` or `.pcd` file.
+            start: where the arm was when the scene was taken, in an `.npz` only.
 
         Raises:
             SceneError: the suffix is unknown or the file cannot be written.
         """
-        from lime_planner.scene.files import save_scene
+        points, labels, costs = self.labelled_points()
+        members: dict[str, Any] = {"points": points, "labels": labels, "frame_id": self.frame_id}
+        if (costs != 1.0).any():
+            members["permeability_cost"] = costs
+        if self.leaf_ids is not None:
+            members["leaf_ids"] = np.concatenate([self.leaf_ids, np.full(len(points) - len(self.leaf_ids), -1, dtype=np.int32)])
+        members.update({name: value for name in ("target_pose", *_TRUTH) if (value := getattr(self, name)) is not None})
+        members.update({name: value for name in _DISPLACEMENTS if (value := getattr(self, name)) > 0.0})
+        write_members(path, members, start)
 
-        save_scene(path, self)
+    def labelled_points(self) -> tuple[Float32, UInt8, Float32]:
+        """Return the scene as one cloud: points (N, 3) [m], labels (N,), permeability costs (N,); leaves, then stems, then fruit."""
+        points = np.concatenate([self.leaf_points, self.stem_points, self.fruit_points])
+        sizes = (len(self.leaf_points), len(self.stem_points), len(self.fruit_points))
+        labels = np.repeat(np.array([LEAF, STEM, FRUIT], dtype=np.uint8), sizes)
+        costs = np.ones(len(points), dtype=np.float32)
+        costs[: sizes[0]] = self.leaf_costs
+        return points, labels, costs
 
     @classmethod
     def from_points(
@@ -149,7 +195,7 @@ class Scene:
         frame_id: str = DEFAULT_FRAME,
         leaf_labels: Sequence[int] = (LEAF,),
         stem_labels: Sequence[int] = (STEM,),
-        fruit_label: int | None = FRUIT,
+        fruit_labels: Sequence[int] = (FRUIT,),
         ignored_labels: Sequence[int] = (),
         permeability_cost: npt.ArrayLike | None = None,
         stake_points: npt.ArrayLike | None = None,
@@ -159,9 +205,9 @@ class Scene:
     ) -> Scene:
         """Sort one labelled cloud into a scene.
 
-        Points that are not finite are dropped and counted. A label that is none of leaf, fruit and ignored makes its points
-        impermeable whether it is listed in `stem_labels` or not; the unlisted ones are counted as `unknown_label`. A label has
-        one meaning; only the default of the fruit gives way to classes that name it.
+        Points that are not finite are dropped and counted, whatever their label. A label that is none of leaf, fruit and ignored
+        makes its points impermeable whether it is listed in `stem_labels` or not; the unlisted ones are counted as
+        `unknown_label`. A label has one meaning; only the default of the fruit gives way to classes that name it.
 
         Args:
             points: (N, 3) [m], in `frame_id`.
@@ -169,7 +215,7 @@ class Scene:
             frame_id: the frame of the points.
             leaf_labels: the permeable labels.
             stem_labels: the known impermeable labels.
-            fruit_label: the label of fruit, or None if there is none.
+            fruit_labels: the labels of fruit; none for no fruit.
             ignored_labels: points with these labels are dropped (the ground, say).
             permeability_cost: (N,) >= 0, used at leaf points [-]; default 1.
             stake_points: (S, 3) [m], further impermeable points.
@@ -180,18 +226,17 @@ class Scene:
         Raises:
             SceneError: sizes differ, labels are no integers, two classes share one, a cost is negative or not finite.
         """
-        points = _points("points", points)
+        points = points_of("points", points)
         n = len(points)
-        labels = _labels(labels, n)
-        finite = _finite(points)
-        stakes = _points("stake_points", () if stake_points is None else stake_points)
-        finite_stakes = _finite(stakes)
+        finite = finite_rows(points)
+        labels = whole_labels(labels, finite)
+        stakes = points_of("stake_points", () if stake_points is None else stake_points)
+        finite_stakes = finite_rows(stakes)
         try:
-            fruit_label = fruit_label_in_force(leaf_labels, stem_labels, fruit_label, ignored_labels)
+            fruit_labels = fruit_in_force(leaf_labels, stem_labels, fruit_labels, ignored_labels)
         except ParameterError as error:
             raise SceneError(str(error)) from None
-        fruit = _any_of(labels, () if fruit_label is None else (fruit_label,))
-        stem, ignored, leaf = (_any_of(labels, wanted) for wanted in (stem_labels, ignored_labels, leaf_labels))
+        fruit, stem, ignored, leaf = (any_of(labels, wanted) for wanted in (fruit_labels, stem_labels, ignored_labels, leaf_labels))
         unknown = ~(stem | fruit | ignored | leaf)
         counts = {
             "received": n + len(stakes),
@@ -200,7 +245,7 @@ class Scene:
             "unknown_label": int((unknown & finite).sum()),
         }
         leaf, fruit, hard = leaf & finite, fruit & finite, (stem | unknown) & finite
-        costs: npt.NDArray[Any] = np.ones(n) if permeability_cost is None else _column("permeability_cost", permeability_cost, n)
+        costs: npt.NDArray[Any] = np.ones(n) if permeability_cost is None else column("permeability_cost", permeability_cost, n)
         return cls(
             leaf_points=points[leaf],
             leaf_costs=costs[leaf],
@@ -209,7 +254,7 @@ class Scene:
             frame_id=frame_id,
             target_pose=None if target_pose is None else np.asarray(target_pose),
             counts=counts,
-            leaf_ids=None if leaf_ids is None else _column("leaf_ids", leaf_ids, n)[leaf],
+            leaf_ids=None if leaf_ids is None else column("leaf_ids", leaf_ids, n)[leaf],
             **truth,
         )
 
@@ -251,21 +296,8 @@ class Scene:
         Raises:
             SceneError: the scale is not above zero, or a number is not finite.
         """
-        offset = _frozen("offset", offset_xyz, np.float64, (3,))
-        if not (np.isfinite(scale) and scale > 0.0):
-            raise SceneError(f"scale: {scale} is not a finite number above 0")
-        changed: dict[str, Any] = {}
-        for name in ("leaf_points", "stem_points", "fruit_points", "leaf_triangles", "fruit_centres"):
-            value = getattr(self, name)
-            if value is not None:
-                changed[name] = value.astype(np.float64) * scale + offset
-        if self.fruit_radii is not None:
-            changed["fruit_radii"] = self.fruit_radii * scale
-        if self.target_pose is not None:
-            changed["target_pose"] = np.concatenate([self.target_pose[:3] * scale + offset, self.target_pose[3:]])
-        for name in ("stem_displacement_m", "leaf_displacement_m"):
-            changed[name] = getattr(self, name) * scale
-        return dataclasses.replace(self, **changed)
+        arrays = {name: value for name in (*_MOVED, *_SCALED) if (value := getattr(self, name, None)) is not None}
+        return dataclasses.replace(self, **_placed(arrays, scale, offset_xyz))
 
 
 def merged(parts: Sequence[Scene], frame_id: str) -> Scene:
@@ -286,48 +318,21 @@ def merged(parts: Sequence[Scene], frame_id: str) -> Scene:
     )
 
 
-def _points(name: str, value: npt.ArrayLike) -> Float32:
-    """Return (N, 3) float32; points beyond float32 become infinite here and are dropped by the caller as not finite."""
-    try:
-        with np.errstate(over="ignore"):
-            array = np.asarray(value, dtype=np.float32)
-    except (TypeError, ValueError) as error:
-        raise SceneError(f"{name}: cannot be read as numbers ({error})") from error
-    if array.ndim == 1 and array.size == 0:
-        array = array.reshape(0, 3)
-    if array.ndim != 2 or array.shape[1] != 3:
-        raise SceneError(f"{name}: shape {array.shape}, expected (N, 3)")
-    return array
-
-
-def _finite(points: Float32) -> Bool:
-    ok = np.isfinite(points)
-    return np.asarray(ok[:, 0] & ok[:, 1] & ok[:, 2])  # three times as fast as all(axis=1)
-
-
-def _any_of(labels: npt.NDArray[Any], wanted: Sequence[int]) -> Bool:
-    # A comparison for each label; np.isin takes ten times as long on the few that there are.
-    found = np.zeros(len(labels), dtype=bool)
-    for label in wanted:
-        found |= labels == label
-    return found
-
-
-def _column(name: str, value: npt.ArrayLike, n: int) -> npt.NDArray[Any]:
-    """Return one number for each of n points, (n,)."""
-    array = np.asarray(value)
-    if array.ndim == 2 and array.shape[1] == 1:
-        array = array[:, 0]
-    if array.shape != (n,):
-        raise SceneError(f"{name}: shape {array.shape}, expected ({n},), one for each point")
-    return array
-
-
-def _labels(value: npt.ArrayLike, n: int) -> npt.NDArray[Any]:
-    """Return the labels (n,), all whole numbers; in a float field they are accepted, as some writers know no integers."""
-    array = _column("labels", value, n)
-    if array.dtype.kind not in "iubf":
-        raise SceneError(f"labels: of type {array.dtype}, expected integers")
-    if array.dtype.kind == "f" and not (np.isfinite(array).all() and (array == np.trunc(array)).all()):
-        raise SceneError("labels: some are not whole numbers")
-    return array
+def _placed(arrays: Mapping[str, Any], scale: float, offset_xyz: npt.ArrayLike) -> dict[str, Any]:
+    """Return a scene's arrays, by name, enlarged about the origin and then moved, in double precision; the others as they are."""
+    offset = frozen("offset", offset_xyz, np.float64, (3,))
+    if not (np.isfinite(scale) and scale > 0.0):
+        raise SceneError(f"scale: {scale} is not a finite number above 0")
+    placed = dict(arrays)
+    if scale == 1.0 and not offset.any():
+        return placed
+    for name in (name for name in _MOVED if name in arrays):
+        value = np.array(numbers(name, arrays[name]), dtype=np.float64)
+        if value.shape[-1:] != ((7,) if name == "target_pose" else (3,)):
+            continue  # `Scene` refuses it with its shape
+        value[..., :3] *= scale
+        value[..., :3] += offset
+        placed[name] = value
+    for name in (name for name in _SCALED if name in arrays):
+        placed[name] = numbers(name, arrays[name]) * scale
+    return placed

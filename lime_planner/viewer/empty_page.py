@@ -61,14 +61,14 @@ class Starting:
         self._backend.open(generate_plant(np.random.default_rng(seed)), f"lime plant {seed}")
 
     def _open(self, name: str, content: bytes) -> None:
-        from lime_planner.scene.files import load_scene
+        from lime_planner.scene.scene import Scene
 
         suffix = Path(name).suffix.lower()
         try:
             with tempfile.NamedTemporaryFile(suffix=suffix if suffix in _SUFFIXES else ".npz") as file:
                 file.write(content)
                 file.flush()
-                scene = load_scene(file.name, default_frame="")
+                scene = Scene.load(file.name)
         except LimePlannerError as error:
             self._advice.content = f"**{Path(name).name} cannot be opened.** {str(error).replace(file.name, Path(name).name)}"
             return

@@ -12,13 +12,14 @@ import numpy as np
 import pytest
 from arm_helpers import robot_named
 from live_robot import HOME, JOINTS, Robot
-from test_recorded import at_x, cloud, joints, pose, write
+from test_from_recording import at_x, cloud, joints, pose, write
 
 from lime_planner.cli import main as cli
 from lime_planner.cli import plan as cli_plan
 from lime_planner.core.geometry import matrix_to_pose
 from lime_planner.robot.model import home
-from lime_planner.scene.files import load_scene, load_start
+from lime_planner.scene.files import load_start
+from lime_planner.scene.scene import Scene
 
 pytestmark = pytest.mark.alone
 
@@ -59,7 +60,7 @@ def test_live_topics(robot: Robot, tmp_path: Path, capsys: pytest.CaptureFixture
         " leaf, 200 stem, 0 fruit points in 'base'",
     ):
         assert words in said, said
-    scene, start = load_scene(out), load_start(out)
+    scene, start = Scene.load(out), load_start(out)
     assert (len(scene.stem_points), scene.frame_id) == (200, "base")
     assert 0 < len(scene.leaf_points) < 300  # some stand alone
     assert scene.target_pose == pytest.approx([0.5, 0.1, 0.4, 0, 0, 0, 1])
@@ -123,7 +124,7 @@ def test_a_moment_of_a_recording(bag: Path, tmp_path: Path, capsys: pytest.Captu
     assert run("record", out, "--bag", bag, "--at", 1.5, *TOPICS) == 0
     said, errors = capsys.readouterr()
     assert errors == "" and "/stems: at 0.000 s" in said and "/joint_states: at 0.000 s" in said
-    scene, start = load_scene(out), load_start(out)
+    scene, start = Scene.load(out), load_start(out)
     assert start is not None and start.q == pytest.approx(HOME)
     assert (len(scene.leaf_points), len(scene.stem_points)) == (80, 30)
     assert "the arm's own points" not in said

@@ -14,9 +14,8 @@ from lime_planner.pipeline import Pipeline
 from lime_planner.pipeline.obstacles import Obstacles
 from lime_planner.robot.kinematics import Chain, forward_kinematics, tool_pose
 from lime_planner.robot.model import Robot, load_robot
-from lime_planner.scene.files import load_scene
 from lime_planner.scene.plants.generator import PlantOptions, generate_plant
-from lime_planner.scene.scene import Scene
+from lime_planner.scene.scene import DEFAULT_FRAME, Scene
 
 OFFSET = (0.55, 0.0, 0.05)
 SEEDLING_SCALE = 24.0
@@ -43,7 +42,7 @@ def scan_files() -> list[Path]:
 def scan(name: str) -> Scene:
     """A real scan by (part of) its name, in front of the arm; skips where the folder is absent."""
     path = next(p for p in scan_files() if name in p.name)
-    return load_scene(path, scale=SEEDLING_SCALE if "seedling" in name else 1.0, offset=OFFSET)
+    return Scene.load(path, frame_id=DEFAULT_FRAME, scale=SEEDLING_SCALE if "seedling" in name else 1.0, offset=OFFSET)
 
 
 @cache

@@ -28,10 +28,10 @@ from lime_planner.core.parameters import NODE_PARAMETERS, PARAMETERS
 from lime_planner.core.refusal import Refusal
 from lime_planner.ros.convert import to_pose
 from lime_planner.ros.inputs.frames import StaticFrames
-from lime_planner.ros.inputs.latest import CLOUDS, Inputs
+from lime_planner.ros.inputs.latest import Inputs
 from lime_planner.ros.inputs.scene_source import SceneSource
 from lime_planner.ros.parameters import snapshot_from
-from lime_planner.scene.files import load_scene, save_scene
+from lime_planner.scene.from_clouds import CLOUDS
 from lime_planner.scene.scene import Scene
 
 EXAMPLES = int(os.environ.get("FUZZ_EXAMPLES", "60"))
@@ -130,7 +130,7 @@ def files() -> dict[str, bytes]:
     with tempfile.TemporaryDirectory() as folder:
         for suffix in (".npz", ".ply", ".pcd"):
             path = Path(folder) / f"scene{suffix}"
-            save_scene(path, scene)
+            scene.save(path)
             found[suffix] = path.read_bytes()
     return found
 
@@ -153,7 +153,7 @@ def test_scene_files(suffix: str, cut: float, changes: list[tuple[float, bytes]]
         path = Path(folder) / f"scene{suffix}"
         path.write_bytes(content)
         try:
-            scene = load_scene(path, scale=scale)
+            scene = Scene.load(path, scale=scale)
         except SceneError as error:
             assert str(path) in str(error)
             assert "\n" not in str(error)

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from lime_planner.core.errors import SceneError
-from lime_planner.scene.files import load_scene, save_scene
 from lime_planner.scene.plants.generator import PlantOptions, generate_plant
 from lime_planner.scene.scene import Scene
 
@@ -42,8 +41,8 @@ def plant():
 
 
 def test_npz_keeps_a_plant_bit_for_bit(tmp_path, plant):
-    save_scene(tmp_path / "new" / "plant.npz", plant)
-    again = load_scene(tmp_path / "new" / "plant.npz")
+    plant.save(tmp_path / "new" / "plant.npz")
+    again = Scene.load(tmp_path / "new" / "plant.npz")
     for name in ("leaf_points", "leaf_costs", "stem_points", "fruit_points", "target_pose", *TRUTH):
         np.testing.assert_array_equal(getattr(again, name), getattr(plant, name))
     assert again.frame_id == "base"
@@ -54,8 +53,8 @@ def test_npz_keeps_a_plant_bit_for_bit(tmp_path, plant):
 def test_ply_and_pcd_keep_points_labels_and_costs(tmp_path, plant, suffix):
     costs = np.linspace(0.0, 3.0, len(plant.leaf_points), dtype=np.float32)
     scene = Scene(plant.leaf_points, costs, plant.stem_points, plant.fruit_points)
-    save_scene(tmp_path / f"plant{suffix}", scene)
-    again = load_scene(tmp_path / f"plant{suffix}", default_frame="world")
+    scene.save(tmp_path / f"plant{suffix}")
+    again = Scene.load(tmp_path / f"plant{suffix}", frame_id="world")
     for name in ("leaf_points", "leaf_costs", "stem_points", "fruit_points"):
         np.testing.assert_array_equal(getattr(again, name), getattr(scene, name))
     assert again.frame_id == "world"
@@ -71,7 +70,7 @@ def test_optional_members_of_an_npz(tmp_path):
         frame_id="field",
         stake_points=[[9.0, 9.0, 9.0]],
     )
-    scene = load_scene(path, scale=2.0, offset=(1.0, 0.0, 0.0))
+    scene = Scene.load(path, scale=2.0, offset=(1.0, 0.0, 0.0))
     assert scene.frame_id == "field"
     assert scene.leaf_costs.tolist() == [2.0, 0.0]
     assert scene.stem_points.tolist() == [[19.0, 18.0, 18.0]]
@@ -97,14 +96,14 @@ def test_optional_members_of_an_npz(tmp_path):
 )
 def test_variants_of_ply_and_pcd(tmp_path, name, text):
     (tmp_path / name).write_bytes(text.encode())
-    scene = load_scene(tmp_path / name)
+    scene = Scene.load(tmp_path / name)
     assert scene.leaf_points.tolist() == [[1, 2, 3]]
     assert scene.stem_points.tolist() == [[4, 5, 6]]
 
 
 def test_another_label_field_and_points_that_are_not_finite(tmp_path):
     (tmp_path / "a.ply").write_text(ply([*XYZ, "int kind"], "1 2 3 5\nnan 5 6 5\n7 8 9 6\n", 3))
-    scene = load_scene(tmp_path / "a.ply", label_field="kind", leaf_labels=(5,), stem_labels=(6,))
+    scene = Scene.load(tmp_path / "a.ply", label_field="kind", leaf_labels=(5,), stem_labels=(6,))
     assert len(scene.leaf_points) == len(scene.stem_points) == scene.counts["non_finite"] == 1
 
 
@@ -140,7 +139,7 @@ def test_another_label_field_and_points_that_are_not_finite(tmp_path):
 def test_a_file_that_cannot_be_used_is_refused_in_one_sentence(tmp_path, name, content, named):
     (tmp_path / name).write_text(content)
     with pytest.raises(SceneError, match=named) as caught:
-        load_scene(tmp_path / name)
+        Scene.load(tmp_path / name)
     assert str(tmp_path / name) in str(caught.value)
     assert "\n" not in str(caught.value)
 
@@ -163,7 +162,7 @@ def test_a_file_that_cannot_be_used_is_refused_in_one_sentence(tmp_path, name, c
 )
 def test_an_npz_that_does_not_fit_is_refused(tmp_path, members, named):
     with pytest.raises(SceneError, match=named):
-        load_scene(npz(tmp_path, **members))
+        Scene.load(npz(tmp_path, **members))
 
 
 class Payload:
@@ -179,7 +178,7 @@ def test_a_pickled_member_is_never_run(tmp_path):
     path = npz(tmp_path, points=np.array([Payload()], dtype=object), labels=[0])
     Payload.touched = False
     with pytest.raises(SceneError):
-        load_scene(path)
+        Scene.load(path)
     assert Payload.touched is False
 
 
@@ -187,7 +186,7 @@ def test_a_pickled_member_is_never_run(tmp_path):
 def test_damaged_and_truncated_files_end_in_a_scene_or_a_sentence(tmp_path, rng, plant, suffix):
     whole = tmp_path / f"whole{suffix}"
     few = Scene(plant.leaf_points[:300], plant.leaf_costs[:300], plant.stem_points[:100], plant.fruit_points[:50])
-    save_scene(whole, few)
+    few.save(whole)
     content = whole.read_bytes()
     refused = 0
     for trial in range(80):
@@ -200,7 +199,7 @@ def test_damaged_and_truncated_files_end_in_a_scene_or_a_sentence(tmp_path, rng,
         path = tmp_path / f"damaged{suffix}"
         path.write_bytes(damaged)
         try:
-            assert load_scene(path).n_points <= 450
+            assert Scene.load(path).n_points <= 450
         except SceneError:
             refused += 1
     assert refused >= 40, "every truncated file must be refused"
@@ -208,13 +207,13 @@ def test_damaged_and_truncated_files_end_in_a_scene_or_a_sentence(tmp_path, rng,
 
 def test_missing_files_and_folders_that_cannot_be_written(tmp_path, plant):
     with pytest.raises(SceneError, match="no such file"):
-        load_scene(tmp_path / "none.npz")
+        Scene.load(tmp_path / "none.npz")
     (tmp_path / "file").write_text("in the way")
     for suffix in (".npz", ".ply"):
         with pytest.raises(SceneError, match="cannot be written"):
-            save_scene(tmp_path / "file" / f"a{suffix}", plant)
+            plant.save(tmp_path / "file" / f"a{suffix}")
     with pytest.raises(SceneError, match="ends in one of"):
-        save_scene(tmp_path / "a.xyz", plant)
+        plant.save(tmp_path / "a.xyz")
 
 
 def test_the_real_scans_load(shared_data):
@@ -222,7 +221,7 @@ def test_the_real_scans_load(shared_data):
     assert files
     for path in files:
         scale = 24.0 if "seedling" in path.name else 1.0
-        scene = load_scene(path, scale=scale, offset=(0.55, 0.0, 0.05))
+        scene = Scene.load(path, scale=scale, offset=(0.55, 0.0, 0.05))
         with np.load(path) as raw:
             stakes = len(raw["stake_points"]) if "stake_points" in raw.files else 0
             assert len(scene.leaf_points) == (raw["labels"] == 0).sum()

@@ -8,7 +8,6 @@ from scipy.spatial import cKDTree
 
 from lime_planner.core.errors import ProblemError, SceneError
 from lime_planner.core.geometry import pose_to_matrix
-from lime_planner.scene.files import load_scene
 from lime_planner.scene.plants.generator import DENSITIES, PlantOptions, generate_plant
 from lime_planner.scene.plants.grasp_targets import approach_directions, canopy_targets, grasp_pose, lime_targets
 from lime_planner.scene.scene import Scene
@@ -106,7 +105,7 @@ def test_a_plant_without_limes_has_no_target():
 
 def test_targets_in_a_real_canopy_keep_the_rule(shared_data):
     for path in sorted(shared_data.glob("*.npz")):
-        scene = load_scene(path, scale=24.0 if "seedling" in path.name else 1.0, offset=(0.55, 0.0, 0.05))
+        scene = Scene.load(path, scale=24.0 if "seedling" in path.name else 1.0, offset=(0.55, 0.0, 0.05))
         poses = canopy_targets(scene, np.random.default_rng(0), 5)
         stems = cKDTree(scene.stem_points)
         low, high = np.quantile(scene.leaf_points, (0.2, 0.8), axis=0)

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from lime_planner.core.errors import SceneError
-from lime_planner.scene.files import load_scene
 from lime_planner.scene.plants import tomatowur
+from lime_planner.scene.scene import Scene
 
 FOLDER = "tomatowur-1.3.7/Resources/output_semantic_segmentation/"
 # Two leaf points, a main stem of five, a stake, a side stem, a node.
@@ -53,7 +53,7 @@ def test_scans_become_scene_files_beside_their_licence(tmp_path, monkeypatch):
     assert obtained.licence.read_text() == "GNU GENERAL PUBLIC LICENSE\n"
     assert "GNU General Public License" in obtained.summary
     assert [p.name for p in obtained.scans] == ["tomato_wur_h01p179.npz", "tomato_wur_h02p27.npz"]
-    scene = load_scene(obtained.scans[0])
+    scene = Scene.load(obtained.scans[0])
     np.testing.assert_allclose(scene.leaf_points, [[0.05, 0.0, 0.22], [-0.05, 0.0, 0.0]], atol=1e-6)
     assert len(scene.stem_points) == 8
     np.testing.assert_allclose(scene.stem_points[-1], [0.0, 0.05, 0.52], atol=1e-6)  # the stake

@@ -23,7 +23,6 @@ from lime_planner.output.timeline import Insight, look_into
 from lime_planner.pipeline import PlanResult
 from lime_planner.pipeline.plan_record import PlanRecord
 from lime_planner.robot.model import home
-from lime_planner.scene.files import save_scene
 from lime_planner.viewer.backend import Activity, Moment, Wishes
 from lime_planner.viewer.scene_backend import Desk
 
@@ -161,7 +160,7 @@ def test_search_tree_begins_at_the_arm(shown: PlanRecord, planner: str) -> None:
 
 def test_saved_plan_comes_back(tmp_path: Path, shown: PlanRecord, capsys: pytest.CaptureFixture[str]) -> None:
     scene, plan, gif = tmp_path / "plant.npz", tmp_path / "plan.json", tmp_path / "reach.gif"
-    save_scene(scene, shown.scene)
+    shown.scene.save(scene)
     assert cli.main(["plan", str(scene), "--json", str(plan), "--iterations", "400", "--seed", "3", "--set", "stem_margin_m=0.006"]) == 0
     saved = read_plan(plan)
     assert saved.parameters == {"stem_margin_m": 0.006, "iterations": 400, "seed": 3}
@@ -188,7 +187,7 @@ def test_saved_plan_comes_back(tmp_path: Path, shown: PlanRecord, capsys: pytest
 
 def test_a_plan_saved_in_python_comes_back(tmp_path: Path, shown: PlanRecord, capsys: pytest.CaptureFixture[str]) -> None:
     scene, gif = tmp_path / "plant.npz", tmp_path / "reach.gif"
-    save_scene(scene, shown.scene)
+    shown.scene.save(scene)
     bare, named = shown.result.save(tmp_path / "bare.json"), shown.result.save(tmp_path / "named.json", scene_path="plant.npz")
 
     def drawn(plan: Path, *options: str) -> int:
@@ -218,7 +217,7 @@ def test_a_plan_saved_in_python_comes_back(tmp_path: Path, shown: PlanRecord, ca
 
 
 def test_a_refused_plan_comes_back_too(tmp_path: Path, shown: PlanRecord, capsys: pytest.CaptureFixture[str]) -> None:
-    save_scene(tmp_path / "plant.npz", shown.scene)
+    shown.scene.save(tmp_path / "plant.npz")
     start = home(robot_named()) + 0.1
     refused = PlanResult(Status.NO_PATH, "NO_PATH: none", "lime_star", 1, T_base_tool=shown.result.T_base_tool, q_start=start)
     plan = refused.save(tmp_path / "refused.json", scene_path="plant.npz")

@@ -83,7 +83,6 @@ def run(args: argparse.Namespace) -> int:
     if importlib.util.find_spec("rclpy") is None:
         raise ModuleNotFoundError("the demo needs ROS 2", name="rclpy")
     from lime_planner.ros.model_loader import build
-    from lime_planner.scene.files import save_scene
 
     clock.say("reading the scene" if args.scene else "growing a lime plant")
     scene = scene_of(args)
@@ -97,7 +96,7 @@ def run(args: argparse.Namespace) -> int:
         loaded = build(settings, None)
         scene = completed_scene(scene, loaded, planning, clock)
         path = args.out / "scene.npz"
-        save_scene(path, scene)
+        scene.save(path)
         clock.say("starting scene_node")
         nodes.start("scene_node", "lime_planner.ros.nodes.scene_node", {"file": str(path.resolve())})
         driven, comparisons = _drive(corner, nodes, loaded, scene, planning, clock)
@@ -110,13 +109,13 @@ def scene_of(args: argparse.Namespace) -> Scene:
     """Load or grow the scene and put it where the options say; its frame is empty where a file names none."""
     import numpy as np
 
-    from lime_planner.scene.files import load_scene
     from lime_planner.scene.plants.generator import generate_plant
+    from lime_planner.scene.scene import Scene
 
     if args.scene is None:
         scene = generate_plant(np.random.default_rng(args.plant_seed))
     else:
-        scene = load_scene(args.scene, scale=args.scale, offset=args.offset, default_frame="")
+        scene = Scene.load(args.scene, scale=args.scale, offset=args.offset)
     return scene if args.target is None else dataclasses.replace(scene, target_pose=np.asarray(args.target))
 
 

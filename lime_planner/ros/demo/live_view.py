@@ -40,7 +40,6 @@ def run_with_nodes(args: argparse.Namespace, access: Access) -> int:
         raise ModuleNotFoundError("the nodes need ROS 2", name="rclpy")
     from lime_planner.ros.display.viewer_backend import TOKEN_VARIABLE
     from lime_planner.ros.model_loader import build
-    from lime_planner.scene.files import save_scene
 
     clock = Clock()
     port = free_port(access.host, DEFAULT_PORT if args.port is None else args.port, tries=1 if args.port else 20)
@@ -55,7 +54,7 @@ def run_with_nodes(args: argparse.Namespace, access: Access) -> int:
         nodes.start("planner_node", "lime_planner.ros.nodes.planner_node", given)
         nodes.start("mock_arm_node", "lime_planner.ros.nodes.mock_arm_node", arm)
         scene = completed_scene(scene, build(settings, None), planning, clock)
-        save_scene(_FOLDER / "scene.npz", scene)
+        scene.save(_FOLDER / "scene.npz")
         clock.say("starting scene_node")
         nodes.start("scene_node", "lime_planner.ros.nodes.scene_node", {"file": str((_FOLDER / "scene.npz").resolve()), "labelled": True})
         _wait_for_page(access.host, port, nodes)

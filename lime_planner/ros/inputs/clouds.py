@@ -15,9 +15,6 @@ from lime_planner.core.status import Status
 from lime_planner.scene import point_cloud2
 from lime_planner.scene.point_cloud2 import TYPES, XYZ, Cloud
 
-#: The optional field of leaf points that scales their cost.
-COST_FIELD = "permeability_cost"
-
 _FROM_NUMPY = {np.dtype(name): number for number, name in TYPES.items()}
 
 

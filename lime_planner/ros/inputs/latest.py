@@ -22,10 +22,7 @@ from lime_planner.ros.convert import JointReader, stamp_s, target_matrix
 from lime_planner.ros.inputs.arm_at_clouds import ArmAtClouds
 from lime_planner.ros.inputs.clouds import check_layout
 from lime_planner.ros.inputs.joint_states import ArmState, JointHistory
-
-#: Inputs that carry points, in the order in which they are reported.
-CLOUDS = ("leaf_cloud", "stem_cloud", "labelled_cloud")
-
+from lime_planner.scene.from_clouds import CLOUDS
 
 #: Joint states kept as they came, for an arm that becomes known later.
 _RECENT_STATES = 50

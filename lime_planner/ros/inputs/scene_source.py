@@ -7,22 +7,18 @@ import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
-import numpy as np
+from std_msgs.msg import Header
 
 from lime_planner.core.errors import SceneError
 from lime_planner.core.refusal import Refusal
 from lime_planner.core.status import Status
-from lime_planner.core.types import Array, Float32
-from lime_planner.ros.inputs.clouds import COST_FIELD, decode_cloud
+from lime_planner.core.transforms import clean_name
+from lime_planner.core.types import Array
 from lime_planner.ros.inputs.frames import Frames
-from lime_planner.ros.inputs.latest import CLOUDS, Inputs, Sample
+from lime_planner.ros.inputs.latest import Inputs, Sample
 from lime_planner.ros.parameters import NodeSettings, Snapshot
+from lime_planner.scene.from_clouds import CLOUDS, ArmFilter, Labels, belonging_together, scene_of_cloud
 from lime_planner.scene.scene import Scene, merged
-
-#: Removes the arm from a scene: (scene, configuration at the cloud's stamp or None, padding [m]) -> scene.
-ArmFilter = Callable[[Scene, Array | None, float], Scene]
-
-_LEAF, _HARD = 0, 1  # labels given here to the points of the two separate clouds
 
 
 @dataclass(frozen=True)
@@ -30,7 +26,7 @@ class _Key:
     """What a cloud's scene was made of: the same cloud and settings need no second look."""
 
     number: int
-    labels: tuple[object, ...]
+    labels: Labels
     padding_m: float
     arm: tuple[float, ...] | None
 
@@ -138,15 +134,10 @@ class SceneSource:
         """Return the newest clouds that belong together: the labelled one, or leaf and stem, whichever came last."""
         newest = {name: self._inputs.slots[name].newest for name in CLOUDS}
         there = {name: sample for name, sample in newest.items() if sample is not None}
-        labelled = there.pop("labelled_cloud", None)
-        if labelled is not None and all(labelled.arrival_s >= sample.arrival_s for sample in there.values()):
-            return {"labelled_cloud": labelled}
-        if "stem_cloud" not in there:
-            if labelled is not None:  # only a leaf cloud is newer: the stems are known from the labelled one alone
-                return {"labelled_cloud": labelled}
-            if not node.allow_empty_stem_cloud:
-                raise Refusal(Status.NO_CLOUD, "no stem cloud has been received (allow_empty_stem_cloud permits motion without)")
-        return there
+        names = belonging_together({name: sample.arrival_s for name, sample in there.items()})
+        if not {"stem_cloud", "labelled_cloud"} & set(names) and not node.allow_empty_stem_cloud:
+            raise Refusal(Status.NO_CLOUD, "no stem cloud has been received (allow_empty_stem_cloud permits motion without)")
+        return {name: there[name] for name in names}
 
     def _check_skew(self, samples: dict[str, Sample], limit_s: float) -> None:
         if limit_s <= 0.0 or not {"leaf_cloud", "stem_cloud"} <= samples.keys():
@@ -160,55 +151,29 @@ class SceneSource:
     def _kept_part(self, name: str, sample: Sample, snapshot: Snapshot, should_stop: Callable[[], bool]) -> Scene:
         """Return one cloud's scene: the same object again as long as cloud and settings are the same."""
         node = snapshot.node
-        labels = (node.label_field, node.leaf_labels, node.stem_labels, node.fruit_labels, node.ignored_labels)
+        labels = Labels(node.label_field, node.leaf_labels, node.stem_labels, node.fruit_labels, node.ignored_labels)
         q = self._inputs.arm_at_clouds.at(name, sample.number)  # may be known better than at the last look
         key = _Key(sample.number, labels, snapshot.plan.self_filter_padding_m, None if q is None else tuple(q))
         kept = self._parts.get(name)
         if kept is None or kept[0] != key:
-            kept = self._parts[name] = (key, self._checked_part(name, sample, q, snapshot, should_stop))
+            kept = self._parts[name] = (key, self._checked_part(name, sample, key, q, snapshot, should_stop))
         return kept[1]
 
-    def _checked_part(self, name: str, sample: Sample, q: Array | None, snapshot: Snapshot, should_stop: Callable[[], bool]) -> Scene:
+    def _checked_part(
+        self, name: str, sample: Sample, key: _Key, q: Array | None, snapshot: Snapshot, should_stop: Callable[[], bool]
+    ) -> Scene:
+        def transform(header: Header) -> Array | None:
+            frame = clean_name(header.frame_id)
+            if frame == self._planning_frame:
+                return None
+            return self._frames.lookup(self._planning_frame, frame, header.stamp, snapshot.node.tf_timeout_s, should_stop)
+
         try:
-            return self._part(name, sample, q, snapshot, should_stop)
-        except Refusal as error:
-            if error.status is Status.BAD_INPUT:
-                self._inputs.slots[name].reject(sample, str(error))
-            raise
+            scene = scene_of_cloud(sample.msg, name, key.labels, self._planning_frame, transform, between=lambda: _ask(should_stop))
+            return self._arm_filter(scene, q, key.padding_m)
         except SceneError as error:
-            self._inputs.slots[name].reject(sample, f"{name}: {error}")
-            raise Refusal(Status.BAD_INPUT, f"{name}: {error}") from None
-
-    def _part(self, name: str, sample: Sample, q: Array | None, snapshot: Snapshot, should_stop: Callable[[], bool]) -> Scene:
-        node = snapshot.node
-        labelled = name == "labelled_cloud"
-        cloud = decode_cloud(sample.msg, name, required=(node.label_field,) if labelled else (), optional=(COST_FIELD,))
-        header = sample.msg.header
-        _ask(should_stop)  # between steps: each of them takes a fraction of a second where a cloud has millions of points
-        points = self._in_planning_frame(cloud.points, header, node.tf_timeout_s, should_stop)
-        labels = cloud.columns[node.label_field] if labelled else np.full(len(points), _LEAF if name == "leaf_cloud" else _HARD, np.int64)
-        if labelled and len(node.fruit_labels) > 1:
-            labels = np.where(np.isin(labels, node.fruit_labels), node.fruit_labels[0], labels)
-        scene = Scene.from_points(
-            points,
-            labels,
-            frame_id=self._planning_frame,
-            leaf_labels=node.leaf_labels if labelled else (_LEAF,),
-            stem_labels=node.stem_labels if labelled else (_HARD,),
-            fruit_label=(node.fruit_labels[0] if node.fruit_labels else None) if labelled else None,
-            ignored_labels=node.ignored_labels if labelled else (),
-            permeability_cost=cloud.columns.get(COST_FIELD),
-        )
-        _ask(should_stop)
-        return self._arm_filter(scene, q, snapshot.plan.self_filter_padding_m)
-
-    def _in_planning_frame(self, points: Float32, header: object, timeout_s: float, should_stop: Callable[[], bool]) -> Float32:
-        frame = header.frame_id.strip().lstrip("/")  # type: ignore[attr-defined]
-        if frame == self._planning_frame or not len(points):
-            return points
-        T = self._frames.lookup(self._planning_frame, frame, header.stamp, timeout_s, should_stop)  # type: ignore[attr-defined]
-        with np.errstate(invalid="ignore", over="ignore"):
-            return (points @ T[:3, :3].T.astype(np.float32) + T[:3, 3].astype(np.float32)).astype(np.float32)
+            self._inputs.slots[name].reject(sample, str(error))
+            raise Refusal(Status.BAD_INPUT, str(error)) from None
 
 
 def _ask(should_stop: Callable[[], bool]) -> None:

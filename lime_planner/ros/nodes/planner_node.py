@@ -39,7 +39,7 @@ from lime_planner.ros.execution.motion import Ended
 from lime_planner.ros.execution.stem_watch import StemWatch, make_look
 from lime_planner.ros.execution.stopping import make_stop
 from lime_planner.ros.inputs.frames import make_frames
-from lime_planner.ros.inputs.latest import CLOUDS, Inputs
+from lime_planner.ros.inputs.latest import Inputs
 from lime_planner.ros.inputs.scene_source import SceneSource
 from lime_planner.ros.memory import give_back
 from lime_planner.ros.model_loader import FROM_TOPIC, Builder, Engine, Loaded, build
@@ -51,6 +51,7 @@ from lime_planner.ros.requests.status_board import Board
 from lime_planner.ros.requests.worker import Answer, Ticket, Worker
 from lime_planner.ros.runtime import run_node
 from lime_planner.ros.throttle import Throttle
+from lime_planner.scene.from_clouds import CLOUDS
 
 #: Python hands the interpreter from one thread to another this often [s]: callbacks wait less for the worker's Python.
 _SWITCH_INTERVAL_S = 0.0003

@@ -23,10 +23,9 @@ from lime_planner.ros import qos
 from lime_planner.ros.convert import to_pose
 from lime_planner.ros.inputs.clouds import encode_cloud
 from lime_planner.ros.runtime import run_node
-from lime_planner.scene.files import labelled_points, load_scene
 from lime_planner.scene.plants.generator import DENSITIES, PlantOptions, generate_plant
 from lime_planner.scene.plants.grasp_targets import canopy_targets
-from lime_planner.scene.scene import Scene
+from lime_planner.scene.scene import DEFAULT_FRAME, Scene
 
 #: Name, default, meaning.
 _PARAMETERS: tuple[tuple[str, Any, str], ...] = (
@@ -65,7 +64,13 @@ def make_scene(values: Mapping[str, Any]) -> _Published:
     if not 0.0 <= float(values["rate_hz"]) <= 100.0:
         raise ParameterError(f"rate_hz is {values['rate_hz']}; allowed: 0 to 100 Hz")
     if values["file"]:
-        scene = load_scene(values["file"], scale=float(values["scale"]), offset=offset, label_field=str(values["label_field"]))
+        scene = Scene.load(
+            values["file"],
+            frame_id=DEFAULT_FRAME,
+            scale=float(values["scale"]),
+            offset=offset,
+            label_field=str(values["label_field"]),
+        )
     else:
         scene = generate_plant(rng, PlantOptions(density=str(values["density"]))).placed(float(values["scale"]), offset)
     given = [float(v) for v in values["target"]]
@@ -157,7 +162,7 @@ class SceneNode(Node):
     def _cloud(self, name: str) -> PointCloud2:
         scene, target = self._published.scene, self._published.target
         if name == "labelled_cloud":
-            points, labels, costs = labelled_points(scene)
+            points, labels, costs = scene.labelled_points()
             return encode_cloud(points, {"label": labels, "permeability_cost": costs})
         if name == "leaf_cloud":
             return encode_cloud(scene.leaf_points, {"permeability_cost": scene.leaf_costs})

@@ -13,11 +13,12 @@ from lime_planner.core.refusal import Refusal
 from lime_planner.core.status import Status
 from lime_planner.doctor.findings import Finding, Level, fault, ok, warning
 from lime_planner.ros.inputs.clouds import decode_cloud
-from lime_planner.ros.inputs.latest import CLOUDS, Sample
+from lime_planner.ros.inputs.latest import Sample
 from lime_planner.ros.parameters import Snapshot
 from lime_planner.ros.qos import is_best_effort, is_latched
 from lime_planner.ros.tools.domains import participants_by_domain
 from lime_planner.ros.tools.listener import Listener
+from lime_planner.scene.from_clouds import CLOUDS
 
 #: A cloud older than this is worth a warning where the parameters set no limit [s].
 _OLD_S = 10.0

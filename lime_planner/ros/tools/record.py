@@ -12,11 +12,11 @@ from lime_planner.collision.arm_filter_live import make_arm_filter
 from lime_planner.core.geometry import matrix_to_pose
 from lime_planner.core.refusal import Refusal
 from lime_planner.robot.model import Robot
-from lime_planner.ros.inputs.latest import CLOUDS
 from lime_planner.ros.inputs.scene_source import SceneSource
 from lime_planner.ros.parameters import Snapshot
 from lime_planner.ros.tools.listener import Listener
 from lime_planner.scene.files import Start
+from lime_planner.scene.from_clouds import CLOUDS
 from lime_planner.scene.scene import Scene
 
 _POLL_S = 0.1

@@ -21,7 +21,6 @@ import numpy as np
 
 from lime_planner.core.errors import SceneError
 from lime_planner.core.types import Array, Int64
-from lime_planner.scene.files import save_scene
 from lime_planner.scene.scene import Scene
 
 VERSION = "1.3.7"
@@ -86,7 +85,7 @@ def convert(archive: str | os.PathLike[str], directory: str | os.PathLike[str]) 
                     raise SceneError(f"{archive}: {member.name} has {member.size} bytes, more than {_MAX_MEMBER_BYTES}")
                 if scan:
                     path = directory / f"tomato_wur_h{int(scan[1]):02d}p{int(scan[2])}.npz"
-                    save_scene(path, _scan_to_scene(content.read(), member.name))
+                    _scan_to_scene(content.read(), member.name).save(path)
                     scans.append(path)
                 else:
                     licence = directory / LICENCE_FILE
@@ -116,7 +115,7 @@ def _scan_to_scene(text: bytes, name: str) -> Scene:
         classes[~stake],
         leaf_labels=(_LEAF,),
         stem_labels=(_MAIN_STEM, _SIDE_STEM, _NODE),
-        fruit_label=None,
+        fruit_labels=(),
         stake_points=points[stake],
     )
 

@@ -11,6 +11,7 @@ from sensor_msgs.msg import PointCloud2, PointField
 from lime_planner.core.refusal import Refusal
 from lime_planner.core.status import Status
 from lime_planner.ros.inputs.clouds import check_layout, decode_cloud, encode_cloud
+from lime_planner.scene.scene import Scene
 
 pytestmark = pytest.mark.alone
 
@@ -96,11 +97,13 @@ def test_an_empty_cloud_needs_no_fields() -> None:
     assert len(cloud.columns["label"]) == 0
 
 
-def test_doubles_beyond_floats_become_infinite() -> None:
+def test_doubles_stay_doubles_and_those_beyond_floats_are_left_out() -> None:
     msg, _, _ = organised(1, 2, 8)
     msg.data = type(msg.data)("B")
     msg.data.frombytes(np.full(6, 1e300).tobytes())
-    assert np.isinf(decode_cloud(msg, "leaf_cloud").points).all()
+    points = decode_cloud(msg, "leaf_cloud").points
+    assert points.dtype == np.float64
+    assert Scene.from_points(points, np.zeros(len(points), int)).counts["non_finite"] == len(points)
 
 
 def broken(**changes: object) -> PointCloud2:

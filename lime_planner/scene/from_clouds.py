@@ -1,0 +1,113 @@
+"""From point cloud messages to scenes, by the same rules for live clouds and for recorded ones."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from lime_planner.core.errors import SceneError
+from lime_planner.core.types import Array, Float32
+from lime_planner.scene.point_cloud2 import COST_FIELD, decode_cloud
+from lime_planner.scene.scene import FRUIT, LEAF, STEM, Scene
+
+Points = npt.NDArray[np.floating]
+
+#: Inputs that carry points, in the order in which they are reported.
+CLOUDS = ("leaf_cloud", "stem_cloud", "labelled_cloud")
+
+#: Removes the arm from a scene: (scene, configuration at the cloud's stamp or None, padding [m]) -> scene.
+ArmFilter = Callable[[Scene, Array | None, float], Scene]
+
+_BLOCK = 65_536  #: points that are moved at a time: they stay in the processor's cache
+
+
+@dataclass(frozen=True)
+class Labels:
+    """How a labelled cloud is read; see `Scene.from_points`."""
+
+    field: str = "label"
+    leaf: tuple[int, ...] = (LEAF,)
+    stem: tuple[int, ...] = (STEM,)
+    fruit: tuple[int, ...] = (FRUIT,)
+    ignored: tuple[int, ...] = ()
+
+
+def belonging_together(arrivals_s: Mapping[str, float]) -> tuple[str, ...]:
+    """Return which of the newest clouds make one scene: the labelled one, or leaf and stem, whichever came last.
+
+    A leaf cloud alone does not take the place of a labelled one: the stems are known from that one only.
+
+    Args:
+        arrivals_s: when the newest cloud of each input came, on any clock [s]; inputs without one are left out.
+
+    Returns:
+        Names of inputs. Without `stem_cloud` and `labelled_cloud` the stems are not known.
+    """
+    others = {name: arrival_s for name, arrival_s in arrivals_s.items() if name != "labelled_cloud"}
+    labelled_s = arrivals_s.get("labelled_cloud")
+    if labelled_s is not None and ("stem_cloud" not in others or all(labelled_s >= arrival_s for arrival_s in others.values())):
+        return ("labelled_cloud",)
+    return tuple(name for name in CLOUDS if name in others)
+
+
+def scene_of_cloud(
+    msg: Any,
+    name: str,
+    labels: Labels,
+    planning_frame: str,
+    transform: Callable[[Any], Array | None],
+    *,
+    topic: str | None = None,
+    between: Callable[[], None] = lambda: None,
+) -> Scene:
+    """Make a scene of one cloud.
+
+    Args:
+        msg: the message: rclpy's, or another with the same attributes.
+        name: of its input, one of `CLOUDS`.
+        labels: how a labelled cloud is read.
+        planning_frame: frame of the scene.
+        transform: returns T_planning_cloud (4, 4) for the message's header, None where the frames are one.
+        topic: what the cloud is called in sentences; by default its input.
+        between: called between steps: each of them takes a fraction of a second where a cloud has millions of points.
+
+    Raises:
+        SceneError: the cloud cannot be used; the sentence begins with the topic.
+    """
+    topic, labelled = topic or name, name == "labelled_cloud"
+    cloud = decode_cloud(msg, topic, required=(labels.field,) if labelled else (), optional=(COST_FIELD,))
+    between()
+    T_planning_cloud = transform(msg.header) if len(cloud.points) else None
+    points = cloud.points if T_planning_cloud is None else moved(cloud.points, T_planning_cloud)
+    between()
+    one_class = np.full(len(points), LEAF if name == "leaf_cloud" else STEM, np.uint8)
+    try:
+        scene = Scene.from_points(
+            points,
+            cloud.columns[labels.field] if labelled else one_class,
+            frame_id=planning_frame,
+            leaf_labels=labels.leaf if labelled else (LEAF,),
+            stem_labels=labels.stem if labelled else (STEM,),
+            fruit_labels=labels.fruit if labelled else (),
+            ignored_labels=labels.ignored if labelled else (),
+            permeability_cost=cloud.columns.get(COST_FIELD),
+        )
+    except SceneError as error:
+        raise SceneError(f"{topic}: {error}") from None
+    between()
+    return scene
+
+
+def moved(points: Points, T: Array) -> Float32:
+    """Return points (N, 3) brought into another frame by T (4, 4), in double precision up to there: a map's coordinates are large."""
+    result = np.empty((len(points), 3), np.float32)
+    rotation, translation = np.ascontiguousarray(T[:3, :3].T), T[:3, 3]
+    with np.errstate(invalid="ignore", over="ignore"):
+        for begin in range(0, len(points), _BLOCK):
+            block = points[begin : begin + _BLOCK].astype(np.float64)
+            result[begin : begin + _BLOCK] = block @ rotation + translation
+    return result
