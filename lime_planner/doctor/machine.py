@@ -53,7 +53,7 @@ def _cache(environ: Mapping[str, str]) -> Finding:
     if free < _KERNELS_BYTES:
         cure = "make room, or name a folder elsewhere in LIME_PLANNER_CACHE_DIR"
         return warning("kernel cache", f"only {free / 1e6:.0f} MB are free in {folder}", cure)
-    kernels = sum(1 for _ in folder.glob("numba-*/**/*.nbc"))
+    kernels = sum(1 for _ in folder.glob("kernels/*/*.nbc"))
     return ok("kernel cache", f"{folder}, {kernels} compiled kernels" if kernels else f"{folder}, empty: the first plan takes a minute")
 
 

@@ -1,0 +1,178 @@
+"""Where compiled kernels lie on disk, and under which name, so that none is ever stale and an edit recompiles only what it concerns.
+
+Numba keys its cache on the file that holds a function, not on the files of the functions that it calls: after an edit of a callee in
+another module the caller would go on running the old code. Here each source file with kernels has a folder whose name carries a hash
+of everything that its kernels can be made of: the file, compiled code of the project that it imports, directly or not, and, where it uses
+the protocol of spaces (`lime_planner.planning.space`), every file that implements that protocol. Nothing in the name depends on where the
+package lies, so that two checkouts of the same sources share what was compiled.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import os
+import re
+import shutil
+import sys
+import tempfile
+from collections.abc import Callable, Iterator
+from functools import cache
+from pathlib import Path
+from types import FunctionType
+from typing import Any
+
+import numba
+from numba.core import caching
+
+_PACKAGE = Path(__file__).resolve().parents[1]
+#: Folders that hold kernels: the package, and in a checkout what measures it.
+_SOURCES = (_PACKAGE, _PACKAGE.parent / "benchmarks")
+_PROTOCOL = "lime_planner.planning.space"
+_KEPT_VERSIONS = 3  # of one file's kernels: two checkouts, or a version and the one before, may share a user's cache
+_IMPORT = re.compile(r"^[ \t]*(?:from[ \t]+([\w.]+)[ \t]+import[ \t]+(\([^)]*\)|[^\n(]+)|import[ \t]+([\w., ]+))", re.MULTILINE)
+
+
+def cache_root() -> Path:
+    """Return the folder below which the package may write caches.
+
+    `LIME_PLANNER_CACHE_DIR` if set, else `$XDG_CACHE_HOME/lime_planner`, else `~/.cache/lime_planner`; a private folder of the
+    system's temporary directory where that cannot be written (a service account without a home).
+    """
+    named = os.environ.get("LIME_PLANNER_CACHE_DIR")
+    if named:
+        root = Path(named)
+    else:
+        root = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "lime_planner"
+    try:
+        root.mkdir(parents=True, exist_ok=True)
+        if os.access(root, os.W_OK):
+            return root
+    except OSError:
+        pass
+    root = Path(tempfile.gettempdir()) / f"lime_planner-{os.getuid()}"
+    root.mkdir(mode=0o700, parents=True, exist_ok=True)
+    return root
+
+
+@cache
+def _texts() -> dict[str, bytes]:
+    """Sources of the project by the dotted name of their module."""
+    found = {}
+    for top in _SOURCES:
+        for path in top.rglob("*.py"):
+            parts = path.relative_to(top.parent).with_suffix("").parts
+            found[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = path.read_bytes()
+    return found
+
+
+@cache
+def _imports(module: str) -> frozenset[str]:
+    """Modules of the project that a module imports, wherever in its text."""
+    known, found = _texts(), set()
+    for base, names, plain in _IMPORT.findall(_texts()[module].decode("utf-8", "replace")):
+        for name in (plain or names).strip("()").split(","):
+            word = name.split()[0] if name.split() else ""
+            found |= {other for other in (word, base, f"{base}.{word}") if other in known}
+    return frozenset(found)
+
+
+@cache
+def _implementations() -> frozenset[str]:
+    """Modules that implement the protocol of spaces for their own types: nobody imports them, and everybody may run them."""
+    return frozenset(name for name, text in _texts().items() if b"@overload" in text)
+
+
+def _ingredients(module: str) -> set[str]:
+    """The files that the kernels of a module can be made of.
+
+    Of all that it imports, directly or not, these are the files with compiled code, those that they import themselves (a constant is
+    compiled in), and those that define named tuples, whose fields a compiled function takes apart.
+    """
+    found: set[str] = set()
+    waiting = [module]
+    while waiting:
+        name = waiting.pop()
+        if name not in found:
+            found.add(name)
+            waiting.extend(_imports(name))
+            if name == _PROTOCOL:
+                waiting.extend(_implementations())
+    texts = _texts()
+    compiled = {name for name in found if b"kernel\n" in texts[name] or b"@overload" in texts[name]} | {module}
+    direct = {other for name in compiled for other in _imports(name)}
+    return compiled | direct | {name for name in found if b"NamedTuple" in texts[name]}
+
+
+@cache
+def _hash_of(module: str | None) -> str:
+    """Hash of what the kernels of a module are made of; of the whole project for a file outside of it (None)."""
+    digest = hashlib.sha256(f"{numba.__version__} {sys.version_info[:2]}".encode())
+    for name in sorted(_texts() if module is None else _ingredients(module)):
+        digest.update(name.encode())
+        digest.update(_texts()[name])
+    return digest.hexdigest()[:16]
+
+
+def _module_at(path: Path) -> str | None:
+    for top in _SOURCES:
+        if path.is_relative_to(top):
+            return ".".join(path.relative_to(top.parent).with_suffix("").parts)
+    return None
+
+
+@cache
+def kernel_folder(path: str) -> Path:
+    """Return the folder for the compiled kernels of a source file, and remove those of versions long gone.
+
+    Args:
+        path: the source file.
+    """
+    source = Path(path).resolve()
+    module = _module_at(source)
+    # A file of somebody else's, with kernels of this package's kind: told from others by its path.
+    name = module or f"{source.stem}-{hashlib.sha256(str(source).encode()).hexdigest()[:8]}"
+    root = cache_root() / "kernels"
+    folder = root / f"{name}-{_hash_of(module)}"
+    if not folder.is_dir():
+        with contextlib.suppress(OSError):
+            folder.mkdir(parents=True, exist_ok=True)
+            versions = [other for other in root.glob(f"{name}-*") if re.fullmatch(r"[0-9a-f]{16}", other.name[len(name) + 1 :])]
+            old = sorted(versions, key=lambda p: p.stat().st_mtime, reverse=True)[_KEPT_VERSIONS:]
+            for stale in (*old, *cache_root().glob("numba-*")):  # the latter: what version 0.1 left behind
+                shutil.rmtree(stale, ignore_errors=True)
+    return folder
+
+
+# Numba's own class for a folder that the user names; it had another name before 0.62.
+_Locator: Any = getattr(caching, "UserProvidedCacheLocator", None) or getattr(caching, "_UserProvidedCacheLocator", object)
+
+
+class KernelLocator(_Locator):
+    """Tells Numba where the kernels of a source file lie: in `kernel_folder`, wherever the file itself is."""
+
+    def __init__(self, py_func: FunctionType, py_file: str) -> None:
+        super().__init__(py_func, py_file)
+        self._cache_path = str(kernel_folder(py_file))
+
+    def get_source_stamp(self) -> str:
+        """Return the same for ever: the folder's name already tells versions apart, and the time of a checkout says nothing."""
+        return "by the folder's name"
+
+
+@contextlib.contextmanager
+def kernel_cache(function: Callable[..., Any]) -> Iterator[None]:
+    """Have Numba cache what is decorated inside in this package's folders; other users of Numba in the process keep theirs.
+
+    Args:
+        function: what is about to be compiled.
+    """
+    config, implementation = numba.config, caching.CacheImpl
+    before = config.CACHE_DIR, getattr(config, "CACHE_LOCATOR_CLASSES", ""), getattr(implementation, "_locator_classes", None)
+    config.CACHE_DIR = str(kernel_folder(function.__code__.co_filename))
+    if before[2] is not None and _Locator is not object:  # else the folders are as safe, but each checkout has its own
+        config.CACHE_LOCATOR_CLASSES, implementation._locator_classes = "", [KernelLocator]
+    try:
+        yield
+    finally:
+        config.CACHE_DIR, config.CACHE_LOCATOR_CLASSES, implementation._locator_classes = before
