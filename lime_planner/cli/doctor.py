@@ -115,7 +115,7 @@ class _Doctor:
 
     def robot(self) -> list[Finding]:
         from lime_planner.cli.plan import load_arm
-        from lime_planner.doctor.findings import fault, ok
+        from lime_planner.doctor.findings import fault, ok, warning
 
         if self._file_trouble:
             return [fault("parameters", self._file_trouble, "correct the file; `lime-planner parameters` lists what is allowed")]
@@ -130,7 +130,9 @@ class _Doctor:
             return [*findings, fault("robot", f"cannot be loaded: {error}", "see the libraries above")]
         except LimePlannerError as error:
             return [*findings, fault("robot", str(error), "correct the parameters robot, arm_joints, planning_frame or tool_frame")]
-        return [*findings, ok("robot", f"{robot.name}: {robot.n} joints, reach {robot.reach_m:.2f} m, plans in {robot.planning_frame!r}")]
+        about = f"{robot.name}: {robot.n} joints, reach {robot.reach_m:.2f} m, plans in {robot.planning_frame!r}"
+        doubts = [warning("robot", sentence, "correct the description if it is not meant so") for sentence in robot.warnings]
+        return [*findings, ok("robot", about), *doubts]
 
     def dds(self) -> list[Finding]:
         from lime_planner.doctor.findings import fault, healthy, ok, warning

@@ -229,22 +229,26 @@ def plan_in(scene: Scene, robot: Robot, settings: Settings, args: argparse.Names
 
 
 def load_arm(settings: Settings) -> Robot:
-    """Load the arm of the settings.
+    """Load the arm of the settings, and say on standard error what is suspicious about its description.
 
     Raises:
         RobotError: see `load_robot`.
         ParameterError: `robot` is `topic`.
     """
+    from lime_planner.output.console import warn
     from lime_planner.robot.model import load_robot
 
     if settings.robot == "topic":
         raise ParameterError("robot: `topic` needs ROS; name a built-in model or a URDF file")
-    return load_robot(
+    robot = load_robot(
         settings.robot,
         joint_names=settings.arm_joints or None,
         planning_frame=settings.planning_frame or None,
         tool_frame=settings.tool_frame or None,
     )
+    for sentence in robot.warnings:
+        warn(sentence)
+    return robot
 
 
 def _stopped_by_signal() -> Callable[[], bool]:

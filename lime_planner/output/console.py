@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -11,7 +12,7 @@ from lime_planner.pipeline.result import ROWS
 if TYPE_CHECKING:
     from rich.console import Console
 
-__all__ = ["ROWS", "cell", "console", "headline", "print_plans", "write_json"]
+__all__ = ["ROWS", "cell", "console", "headline", "print_plans", "warn", "write_json"]
 
 
 def console(*, error: bool = False) -> Console:
@@ -20,6 +21,11 @@ def console(*, error: bool = False) -> Console:
 
     plain = Console(stderr=error, highlight=False)
     return Console(stderr=error, highlight=False, width=min(80, plain.width))
+
+
+def warn(sentence: str) -> None:
+    """Say on standard error, on a line of its own, what is suspicious but no reason to refuse."""
+    print(f"warning: {sentence}", file=sys.stderr)
 
 
 def cell(figures: Mapping[str, Any], key: str, factor: float = 1.0, decimals: int = 2) -> str:

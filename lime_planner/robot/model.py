@@ -19,10 +19,11 @@ from lime_planner.core.errors import RobotError
 from lime_planner.core.types import Array, Bool
 from lime_planner.robot.builtin import BUILTIN_ARMS, TOOL_RPY, read_builtin, share_directories
 from lime_planner.robot.kinematics import Chain, forward_kinematics, tool_pose
+from lime_planner.robot.mesh_files import resolve_meshes
 from lime_planner.robot.meshes import LinkMesh
 from lime_planner.robot.pairs import find_collision_pairs, touches_itself
 from lime_planner.robot.serial_chain import read_tree
-from lime_planner.robot.urdf import parse_urdf, resolve_meshes, set_joint_rpy
+from lime_planner.robot.urdf import parse_urdf, read_urdf_file, set_joint_rpy
 
 __all__ = ["LinkMesh", "Robot", "home", "load_robot", "robot_from_urdf"]
 
@@ -47,6 +48,7 @@ class Robot:
         reach_m: no point of the arm gets farther from the planning frame's origin.
         urdf: the description as used, tool frame included.
         held_joints: joints between planning frame and tool that are not planned for, and where they must stay [rad or m].
+        warnings: sentences about what in the description is suspicious but usable.
     """
 
     name: str
@@ -64,6 +66,7 @@ class Robot:
     reach_m: float
     urdf: str
     held_joints: tuple[tuple[str, float], ...] = ()
+    warnings: tuple[str, ...] = ()
 
     @classmethod
     def load(cls, name_or_path: str | os.PathLike[str], **options: Any) -> Robot:
@@ -171,10 +174,7 @@ def load_robot(
     path = Path(name_or_path).expanduser()
     if not path.is_file():
         raise RobotError(f"robot {name_or_path!r} is neither a built-in arm ({', '.join(BUILTIN_ARMS)}) nor a URDF file that exists")
-    try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise RobotError(f"the URDF file {path} cannot be read: {error}") from error
+    text = read_urdf_file(path)
     return robot_from_urdf(
         text, joint_names=joint_names, planning_frame=planning_frame, tool_frame=tool_frame, locked=locked, base_dir=path.resolve().parent
     )
@@ -223,6 +223,7 @@ def robot_from_urdf(
         reach_m=_reach(tree.chain, tree.links),
         urdf=text,
         held_joints=tree.held,
+        warnings=tree.warnings,
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import xml.etree.ElementTree as ET
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -11,15 +12,17 @@ import numpy as np
 
 from lime_planner.core.errors import RobotError
 from lime_planner.core.types import Array, Bool, Int32
+from lime_planner.robot.joint_limits import read_limits
 from lime_planner.robot.kinematics import Chain, make_chain
+from lime_planner.robot.mesh_files import collada_asset
 from lime_planner.robot.meshes import LinkMesh, join_meshes, triangulate
-
-#: Where the URDF gives no acceleration limit [rad/s²]: the default of MoveIt's time parameterisation, slow for any arm.
-DEFAULT_ACCELERATION = 1.0
-#: Where the URDF gives no velocity limit [rad/s].
-DEFAULT_VELOCITY = 0.5
+from lime_planner.robot.plausibility import check_lengths, suspicious_joints
 
 _TOOL_NAMES = ("end_effector", "tool0", "tool_frame", "tcp")
+#: Words in the name of a link that is meant to reach a target, and in that of one that only looks.
+_TOOL_WORDS = {"ee", "eef", "tcp", "tool", "endeffector", "grasp", "grip"}
+_SENSOR_WORDS = {"camera", "cam", "optical", "depth", "color", "colour", "rgb", "rgbd", "infra", "infrared", "ir", "imu", "gyro", "accel"}
+_SENSOR_WORDS |= {"lidar", "laser", "lens", "sensor", "realsense", "zed", "kinect", "ft", "wrench", "led", "light"}
 _MOVING = ("revolute", "continuous", "prismatic", "floating", "planar")
 
 
@@ -42,6 +45,7 @@ class ArmTree:
     links: tuple[LinkMesh, ...]
     adjacent: frozenset[tuple[int, int]]
     held: tuple[tuple[str, float], ...]
+    warnings: tuple[str, ...]
 
 
 class _Joints:
@@ -142,8 +146,10 @@ def read_tree(
         raise RobotError(f"the planning frame {planning_frame!r} must be a link that stands still: {', '.join(still)}")
     T_planning_root = frames[planning_frame].placement.inverse()
     chain, turns = _read_chain(model, T_planning_root, frames[tool_frame].placement)
-    links = _read_links(geometry, model, T_planning_root, turns)
-    lower, upper, continuous, velocity, acceleration = _read_limits(joints, names)
+    links, warnings = _read_links(geometry, model, T_planning_root, turns)
+    warnings += check_lengths(chain, names, links)
+    lower, upper, continuous, velocity, acceleration = read_limits(joints.by_name, names)
+    warnings += suspicious_joints(names, lower, upper, velocity)
     return ArmTree(
         tuple(names),
         lower,
@@ -157,6 +163,7 @@ def read_tree(
         links,
         _adjacent(joints, links),
         positions,
+        tuple(dict.fromkeys(warnings)),
     )
 
 
@@ -179,6 +186,9 @@ def _default_tool(joints: _Joints, joint_names: Sequence[str] | None) -> str:
     """Return the one link named like a tool frame, else the one at the end of the most turning joints.
 
     Beyond the last of `joint_names`, if given. A name counts for more than depth, for fingers turn, too.
+
+    Raises:
+        RobotError: there is more than one; it offers them, the likeliest first.
     """
     candidates = [link for link in joints.links if (joint_names[-1] in joints.movers_to(link) if joint_names else joints.movers_to(link))]
     named = [link for link in candidates if link.endswith(_TOOL_NAMES)]
@@ -187,8 +197,19 @@ def _default_tool(joints: _Joints, joint_names: Sequence[str] | None) -> str:
     most = max((len(joints.movers_to(link)) for link in ends), default=0)
     choice = named if len(named) == 1 else [link for link in ends if len(joints.movers_to(link)) == most]
     if len(choice) != 1:
-        raise RobotError(f"which link is the tool frame? Set tool_frame to one of {', '.join(choice or joints.links)}")
+        offered = [link for link in candidates if link in choice or _likelihood(link) == 0]
+        raise RobotError(
+            f"which link is the tool frame? Set tool_frame to one of {', '.join(sorted(offered or joints.links, key=_likelihood))}"
+        )
     return choice[0]
+
+
+def _likelihood(link: str) -> int:
+    """Rank a link by its name: 0 for one that sounds like the tool, 2 for one that sounds like a sensor, else 1."""
+    words = {word for word in re.split(r"[^a-z]+|(?<=[a-z])(?=\d)", re.sub(r"(?<=[a-z])(?=[A-Z])", "_", link).lower()) if word}
+    if words & _SENSOR_WORDS:
+        return 2
+    return 0 if words & _TOOL_WORDS or {"end", "effector"} <= words else 1
 
 
 def _choose_joints(joints: _Joints, wanted: Sequence[str] | None, tool_frame: str, planning_frame: str | None) -> list[str]:
@@ -263,14 +284,26 @@ def _read_chain(model: Any, T_planning_root: Any, T_last_tool: Any) -> tuple[Cha
     return make_chain(placements, axes, np.zeros(n, dtype=np.uint8), T_last_tool.homogeneous[:3])
 
 
-def _read_links(geometry: Any, model: Any, T_planning_root: Any, turns: Array) -> tuple[LinkMesh, ...]:
+def _read_links(geometry: Any, model: Any, T_planning_root: Any, turns: Array) -> tuple[tuple[LinkMesh, ...], list[str]]:
+    """Return the links that have geometry, and sentences about what was done to it."""
     parts: dict[str, list[tuple[Array, Int32]]] = {}
     joint_of: dict[str, int] = {}
+    warnings = []
     for shape in geometry.geometryObjects:
         link = model.frames[shape.parentFrame].name
         joint = int(shape.parentJoint)
         placement = T_planning_root * shape.placement if joint == 0 else shape.placement
         vertices, triangles = triangulate(shape.geometry, link)
+        scale = np.asarray(shape.meshScale, dtype=np.float64)
+        asset = collada_asset(shape.meshPath)
+        if not np.array_equal(asset, np.eye(3)):  # Coal leaves the asset's unit and axis out, and has applied the scale already
+            vertices = (vertices / scale) @ asset.T * scale
+            if not np.array_equal(asset / asset.max(), np.eye(3)):
+                warnings.append(
+                    f"the mesh {shape.meshPath} of link {link} is not written z-up and was turned as its up_axis says (RViz does not)"
+                )
+        if np.prod(scale) < 0.0:  # mirrored: the outside must stay outside
+            triangles = np.ascontiguousarray(triangles[:, ::-1])
         vertices = vertices @ placement.rotation.T + placement.translation
         if joint > 0 and not np.array_equal(turns[joint - 1], np.eye(3)):
             vertices = vertices @ turns[joint - 1].T
@@ -279,29 +312,8 @@ def _read_links(geometry: Any, model: Any, T_planning_root: Any, turns: Array) -
     if not any(joint_of.values()):
         raise RobotError("no moving link of the robot description has collision geometry, so nothing could be checked")
     last = model.njoints - 1
-    return tuple(LinkMesh(name, joint_of[name], *join_meshes(parts[name]), gripper=joint_of[name] == last) for name in parts)
-
-
-def _read_limits(joints: _Joints, names: Sequence[str]) -> tuple[Array, Array, Bool, Array, Array]:
-    n = len(names)
-    lower, upper = np.full(n, -np.inf), np.full(n, np.inf)
-    continuous = np.zeros(n, dtype=np.bool_)
-    velocity, acceleration = np.full(n, DEFAULT_VELOCITY), np.full(n, DEFAULT_ACCELERATION)
-    for i, name in enumerate(names):
-        limit = joints.by_name[name].find("limit")
-        continuous[i] = joints.by_name[name].get("type") == "continuous"
-        given = dict(limit.attrib) if limit is not None else {}
-        values = {key: float(given[key]) for key in ("lower", "upper", "velocity", "acceleration") if key in given}
-        if not continuous[i]:
-            lower[i], upper[i] = values.get("lower", 0.0), values.get("upper", 0.0)
-            if not lower[i] < upper[i]:
-                raise RobotError(f"joint {name} has the limits {lower[i]} to {upper[i]} rad; lower must be less than upper")
-        # A velocity of 0 stands for "unknown" in many descriptions.
-        velocity[i] = values.get("velocity", 0.0) or DEFAULT_VELOCITY
-        acceleration[i] = values.get("acceleration", 0.0) or DEFAULT_ACCELERATION
-        if velocity[i] < 0.0 or acceleration[i] < 0.0:
-            raise RobotError(f"joint {name} has a negative velocity or acceleration limit")
-    return lower, upper, continuous, velocity, acceleration
+    links = tuple(LinkMesh(name, joint_of[name], *join_meshes(parts[name]), gripper=joint_of[name] == last) for name in parts)
+    return links, warnings
 
 
 def _adjacent(joints: _Joints, links: Sequence[LinkMesh]) -> frozenset[tuple[int, int]]:

@@ -1,17 +1,84 @@
-"""The text of a URDF: checks that name the culprit, the tool frame's convention, and where the meshes are."""
+"""The text of a URDF: its encoding, checks that name the culprit, and the tool frame's convention."""
 
 from __future__ import annotations
 
+import codecs
 import math
+import re
 import xml.etree.ElementTree as ET
-from collections.abc import Iterable
 from pathlib import Path
-from urllib.parse import unquote, urlparse
+from xml.parsers import expat
 
 from lime_planner.core.errors import RobotError
 
 _SHAPES: dict[str, dict[str, int]] = {"mesh": {}, "box": {"size": 3}, "cylinder": {"radius": 1, "length": 1}, "sphere": {"radius": 1}}
+#: Numbers of a joint that are used here; a velocity may be infinite, an effort whatever it likes.
+_JOINT_NUMBERS = {
+    "limit": ("lower", "upper", "velocity", "acceleration"),
+    "safety_controller": ("soft_lower_limit", "soft_upper_limit"),
+    "mimic": ("multiplier", "offset"),
+}
 _JOINTS = ("fixed", "revolute", "continuous", "prismatic", "floating", "planar")
+
+
+#: Byte order marks, longest first: that of UTF-32 begins with that of UTF-16.
+_MARKS = (
+    (codecs.BOM_UTF32_LE, "utf-32"),
+    (codecs.BOM_UTF32_BE, "utf-32"),
+    (codecs.BOM_UTF8, "utf-8-sig"),
+    (codecs.BOM_UTF16_LE, "utf-16"),
+    (codecs.BOM_UTF16_BE, "utf-16"),
+)
+#: How `<?` begins without a mark where a character is more than one byte.
+_BEGINNINGS = (
+    (b"<\0\0\0", "utf-32-le"),
+    (b"\0\0\0<", "utf-32-be"),
+    (b"<\0", "utf-16-le"),
+    (b"\0<", "utf-16-be"),
+)
+_DECLARATION = re.compile(rb"""^\s*<\?xml[^>]*?\sencoding\s*=\s*["']([A-Za-z0-9._:-]+)["']""")
+#: Elements of xacro that old files wrote without its prefix, and that no URDF has at the top.
+_OLD_XACRO = ("macro", "property", "include", "if", "unless", "arg", "insert_block")
+_RUN_XACRO = "run xacro on it first (xacro arm.urdf.xacro > arm.urdf)"
+
+
+def read_urdf_file(path: Path) -> str:
+    """Return the text of a URDF file, in the encoding that its byte order mark or its XML declaration names, else UTF-8.
+
+    Raises:
+        RobotError: the file cannot be read, or its bytes are not what it declares.
+    """
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        raise RobotError(f"the URDF file {path} cannot be read: {error.strerror or error}") from error
+    encoding, declared = _encoding_of(content)
+    try:
+        return content.decode(encoding)
+    except LookupError:
+        raise RobotError(f"the URDF file {path} declares the encoding {encoding!r}, which is unknown here; save it as UTF-8") from None
+    except UnicodeDecodeError as error:
+        where = f"byte {error.start + 1}, 0x{content[error.start]:02x}, is not" if error.start < len(content) else "it is not"
+        advice = (
+            "correct that or save it as UTF-8" if declared else 'name its encoding in the first line: <?xml version="1.0" encoding="…"?>'
+        )
+        raise RobotError(f"the URDF file {path} cannot be read: {where} {encoding}; {advice}") from error
+
+
+def _encoding_of(content: bytes) -> tuple[str, bool]:
+    """Return a document's encoding, and whether the document says so itself."""
+    for mark, encoding in _MARKS:
+        if content.startswith(mark):
+            return encoding, True
+    for beginning, encoding in _BEGINNINGS:
+        if content.startswith(beginning):
+            return encoding, True
+    match = _DECLARATION.match(content)
+    if match is None:
+        return "utf-8", False
+    declared = match.group(1).decode("ascii")
+    # What declares itself wide in single bytes was converted since, by an editor that left the line alone.
+    return ("utf-8", False) if declared.lower().startswith(("utf-16", "utf16", "utf-32", "ucs-", "iso-10646")) else (declared, True)
 
 
 def parse_urdf(text: str) -> ET.Element:
@@ -21,16 +88,17 @@ def parse_urdf(text: str) -> ET.Element:
         RobotError: not XML, not a URDF, unprocessed xacro, names used twice or not declared, not one tree, or a collision shape
             that is not a mesh, box, cylinder or sphere (dropped, the arm would be thinner than it is).
     """
-    if "<!DOCTYPE" in text or "<!ENTITY" in text:
-        raise RobotError("the URDF declares a document type or entities, which is not allowed")
-    try:
-        root = ET.fromstring(text)
-    except ET.ParseError as error:
-        raise RobotError(f"the robot description is not well-formed XML: {error}") from error
-    if root.tag != "robot":
-        raise RobotError(f"the robot description's outermost element is <{root.tag}>, not <robot>")
-    if "<xacro:" in text:
-        raise RobotError("the robot description still holds xacro elements: run xacro on it first")
+    root = parse_xml(text.lstrip("\ufeff \t\r\n"), "the robot description")
+    namespace, _, plain = root.tag.rpartition("}")
+    if plain != "robot":
+        raise RobotError(f"the robot description's outermost element is <{plain}>, not <robot>")
+    if namespace:  # xmlns on the outermost element names every element below it
+        for element in root.iter():
+            if isinstance(element.tag, str):
+                element.tag = element.tag.removeprefix(namespace + "}")
+    old = next((child.tag for child in root if child.tag in _OLD_XACRO), None)
+    if old is not None:
+        raise RobotError(f"the robot description still holds the xacro element <{old}>: {_RUN_XACRO}")
     links = _names(root, "link")
     _names(root, "joint")
     if not links:
@@ -42,6 +110,43 @@ def parse_urdf(text: str) -> ET.Element:
         for collision in link_element.findall("collision"):
             _check_collision(link_element.get("name", ""), collision)
     return root
+
+
+def parse_xml(text: str | bytes, what: str) -> ET.Element:
+    """Parse XML without document types, entities and unexpanded xacro; comments may hold what they like.
+
+    Args:
+        text: the document; bytes are read in the encoding that they declare.
+        what: it is, for the sentences.
+
+    Raises:
+        RobotError: not well-formed, or one of those.
+    """
+    prefixes: list[str] = []
+
+    def refuse_type(*_: object) -> None:
+        raise RobotError(f"{what} declares a document type or entities, which is not allowed")
+
+    def see_element(name: str, attributes: dict[str, str]) -> None:
+        prefixes.extend(key[6:] for key, value in attributes.items() if key.startswith("xmlns:") and "xacro" in value.lower())
+        prefix = name.partition(":")[0] if ":" in name else ""
+        if prefix and (prefix == "xacro" or prefix in prefixes):
+            raise RobotError(f"{what} still holds the xacro element <{name}>: {_RUN_XACRO}")
+
+    # Without namespaces first, so that a prefix that is not declared is told from one that is.
+    scan = expat.ParserCreate("utf-8" if isinstance(text, str) else None)
+    scan.StartDoctypeDeclHandler = refuse_type
+    scan.EntityDeclHandler = refuse_type
+    scan.StartElementHandler = see_element
+    try:
+        scan.Parse(text, True)
+        return ET.fromstring(text)
+    except RobotError:
+        raise
+    except (ET.ParseError, expat.ExpatError) as error:
+        raise RobotError(f"{what} is not well-formed XML: {error}") from error
+    except (ValueError, LookupError) as error:  # an encoding that the parser does not know
+        raise RobotError(f"{what} cannot be read: {error}") from error
 
 
 def _check_tree(root: ET.Element, links: set[str]) -> None:
@@ -79,10 +184,11 @@ def _check_joint(joint: ET.Element) -> None:
     limit = joint.find("limit")
     if kind in ("revolute", "prismatic") and limit is None:
         raise RobotError(f"{name} is {kind} and needs limits")
-    if limit is not None:
-        for key in ("lower", "upper", "velocity", "effort", "acceleration"):
-            if key in limit.attrib:
-                _numbers(name, limit, key, 1)
+    for tag, keys in _JOINT_NUMBERS.items():
+        element = joint.find(tag)
+        for key in keys if element is not None else ():
+            if element is not None and key in element.attrib:
+                _numbers(name, element, key, 1)
 
 
 def _check_collision(link: str, collision: ET.Element) -> None:
@@ -112,7 +218,10 @@ def _numbers(name: str, element: ET.Element, key: str, count: int) -> list[float
         values = [float(word) for word in text.split()]
     except ValueError:
         values = []
-    if len(values) != count or not all(map(math.isfinite, values)):
+    if "${" in text or "$(" in text:
+        raise RobotError(f"{name} has the {key} {text!r} in its {element.tag}, which is xacro's: {_RUN_XACRO}")
+    endless = key in ("velocity", "acceleration") and values == [math.inf]
+    if len(values) != count or not (endless or all(map(math.isfinite, values))):
         raise RobotError(f"{name} has the {key} {text!r} in its {element.tag}, which should be {count} finite number{'s' * (count > 1)}")
     return values
 
@@ -137,47 +246,3 @@ def set_joint_rpy(root: ET.Element, child_link: str, rpy: str) -> None:
             origin.set("rpy", rpy)
             return
     raise RobotError(f"the robot description has no joint with an origin above {child_link}")
-
-
-def resolve_meshes(root: ET.Element, base_dir: Path | None, shares: Iterable[Path]) -> str:
-    """Return the URDF's text with every collision mesh's file name made absolute and the visuals left out.
-
-    `package://NAME/REST` is looked for as NAME/REST in each of `shares`; a relative name starts at `base_dir`.
-
-    Raises:
-        RobotError: a mesh that is not there; the text names link and file.
-    """
-    copy = ET.fromstring(ET.tostring(root))
-    folders = list(shares)
-    for link in copy.findall("link"):
-        for visual in link.findall("visual"):
-            link.remove(visual)
-        for mesh in link.findall("collision/geometry/mesh"):
-            name = mesh.get("filename", "")
-            path = _find_mesh(name, base_dir, folders)
-            if path is None:
-                raise RobotError(f"the collision mesh {name!r} of link {link.get('name')} was not found; {_advice(name)}")
-            mesh.set("filename", str(path))
-    return ET.tostring(copy, encoding="unicode")
-
-
-def _find_mesh(name: str, base_dir: Path | None, shares: list[Path]) -> Path | None:
-    address = urlparse(name)
-    if address.scheme in ("package", "model"):
-        candidates = [share / address.netloc / unquote(address.path).lstrip("/") for share in shares]
-    elif address.scheme == "file":
-        candidates = [Path(unquote(address.path))]
-    elif address.scheme or not name:
-        candidates = []
-    else:
-        candidates = [(base_dir or Path()) / name]
-    return next((path.resolve() for path in candidates if path.is_file()), None)
-
-
-def _advice(name: str) -> str:
-    address = urlparse(name)
-    if address.scheme in ("package", "model"):
-        return f"source the workspace that holds the package {address.netloc}, or add its parent folder to ROS_PACKAGE_PATH"
-    if address.scheme in ("", "file"):
-        return "check the path"
-    return f"addresses that begin with {address.scheme}:// are not supported"

@@ -178,6 +178,8 @@ class Engine(Attendant):
             with self._condition:
                 self._warm, self.state = True, "ready"
                 self._condition.notify_all()
+            for sentence in loaded.robot.warnings:
+                self._report(True, f"the robot description is suspicious: {sentence}")
             self._report(False, f"ready to plan for {loaded.robot.name} after {time.monotonic() - began_s:.1f} s")
 
     def _exchange(self, loaded: Loaded) -> bool:
