@@ -7,7 +7,7 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from lime_planner.core.errors import ProblemError
-from lime_planner.core.types import Array
+from lime_planner.core.types import Array, Bool
 from lime_planner.core.validation import floats
 
 
@@ -39,3 +39,8 @@ def matrix_to_pose(T: npt.ArrayLike) -> Array:
     """Turn a 4 x 4 matrix into x y z qx qy qz qw [m, -], (7,); a stack of them (K, 4, 4) into (K, 7)."""
     matrix = np.asarray(T, dtype=np.float64)
     return np.concatenate([matrix[..., :3, 3], Rotation.from_matrix(matrix[..., :3, :3]).as_quat()], axis=-1)
+
+
+def whole_turns(difference: Array, continuous: Bool) -> Array:
+    """Return the whole turns nearest a difference of configurations, 0 for joints that have an end; all three (n,) [rad]."""
+    return np.where(continuous, 2.0 * np.pi * np.round(difference / (2.0 * np.pi)), 0.0)

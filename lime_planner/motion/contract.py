@@ -79,6 +79,36 @@ def violations(
     return found
 
 
+def stop_violations(stop: Trajectory, *, q_measured: npt.ArrayLike, reach_rad: npt.ArrayLike) -> list[str]:
+    """List every rule that a stop breaks: it is finite, ends at rest, and takes no joint farther than braking needs.
+
+    Args:
+        stop: what is about to be sent.
+        q_measured: the configuration the arm was measured at last [rad], (n,), on the turns of the stop.
+        reach_rad: how far from there each joint may be commanded [rad], (n,): its braking distance and the measured error.
+
+    Returns:
+        Sentences that name joint, point, value and limit; empty when the stop may be sent.
+
+    Raises:
+        ProblemError: `q_measured` or `reach_rad` of the wrong shape.
+    """
+    n = len(stop.joint_names)
+    q, reach = (np.asarray(values, dtype=np.float64) for values in (q_measured, reach_rad))
+    if q.shape != (n,) or reach.shape != (n,):
+        raise ProblemError(f"q_measured and reach_rad must have shape ({n},), got {q.shape} and {reach.shape}")
+    found = _finite(stop)
+    found += [sentence for sentence in _ends(stop) if sentence.startswith("the last")]
+    with np.errstate(invalid="ignore"):
+        off = np.abs(stop.positions - q)
+        for joint, point in _worst(~(off <= reach), off):
+            found.append(
+                f"the stop takes {stop.joint_names[joint]} {off[point, joint]:.4f} rad from where it was measured (point {point}); "
+                f"braking needs at most {reach[joint]:.4f} rad"
+            )
+    return found
+
+
 def _grid(trajectory: Trajectory) -> list[str]:
     found = []
     if len(trajectory) < 2:

@@ -13,8 +13,12 @@ import numpy as np
 import numpy.typing as npt
 
 from lime_planner.core.errors import ProblemError
+from lime_planner.core.types import Array
 from lime_planner.motion.braking_kernel import brake
 from lime_planner.motion.trajectory import Trajectory
+
+_REACH = 0.6  # of the time to brake from full speed: half for a straight path, more where it bends
+_REACH_SLACK_RAD = 0.02
 
 STOP_TIME_S = 0.2  #: time of the single point of a Kinova stop
 
@@ -73,6 +77,26 @@ def braking(running: Trajectory, elapsed_s: float, acceleration_limits: npt.Arra
         begin, running.first_time_s, running.duration_s, dt_s, running.positions, running.velocities, limits, positions, velocities
     )
     return Trajectory(running.joint_names, dt_s, positions[:filled], velocities[:filled], first_time_s=lead)
+
+
+def braking_reach(running: Trajectory, elapsed_s: float, acceleration_limits: npt.ArrayLike, lead_s: float) -> Array:
+    """Bound how far a stop of a motion may take each joint from where it is, (n,) [rad].
+
+    With v the largest speed of a joint in the motion's next T seconds and T the longest v / a of all joints, that is
+    v · (lead + 0.6 T) and 0.02 rad: a joint alone would come to rest within v · T / 2, but all of them stay on their path together.
+
+    Args:
+        running: the motion being carried out.
+        elapsed_s: how far it is [s].
+        acceleration_limits: the arm's [rad/s²], (n,).
+        lead_s: time until the braking begins, and the age of what is known of the arm [s].
+    """
+    limits = np.asarray(acceleration_limits, dtype=np.float64)
+    speed = np.abs(running.velocities)
+    horizon_s = lead_s + float((speed.max(axis=0) / limits).max())
+    first, last = np.searchsorted(running.times(), (elapsed_s - running.dt_s, elapsed_s + horizon_s + running.dt_s))
+    fastest = speed[first : max(last, first + 1)].max(axis=0, initial=0.0)
+    return np.asarray(fastest * (lead_s + _REACH * float((fastest / limits).max())) + _REACH_SLACK_RAD, dtype=np.float64)
 
 
 def warm_up() -> None:

@@ -28,11 +28,13 @@ class BuiltinArm:
     Attributes:
         prefix: what the names of its joints and frames begin with.
         home: (6,) ready configuration [rad], within the limits and free of self-collision.
+        endless: numbers of the joints that turn without end, from 1.
         source: file below example-robot-data's `robots` folder, or None for a URDF of this package.
     """
 
     prefix: str
     home: tuple[float, ...]
+    endless: tuple[int, ...]
     source: str | None
 
     @property
@@ -45,11 +47,20 @@ class BuiltinArm:
         """Names of the six joints in the driver's order."""
         return tuple(f"{self.prefix}_joint_{i}" for i in range(1, 7))
 
+    @property
+    def continuous(self) -> tuple[bool, ...]:
+        """Which joints turn without end, as the model says once it is loaded."""
+        return tuple(i in self.endless for i in range(1, 7))
+
+
+_J2S6S200 = "kinova_description/robots/kinova.urdf"
 
 # The second is the non-spherical arm's home in the driver's examples: 275°, 167°, 57°, 241°, 83°, 75°.
 BUILTIN_ARMS: dict[str, BuiltinArm] = {
-    "kinova_j2s6s200": BuiltinArm("j2s6s200", (4.7124, 2.8444, 1.3230, 4.6331, 2.0944, 1.5708), "kinova_description/robots/kinova.urdf"),
-    "kinova_j2n6s300": BuiltinArm("j2n6s300", (4.7997, 2.9147, 0.9948, 4.2062, 1.4486, 1.3090), None),
+    "kinova_j2s6s200": BuiltinArm(
+        "j2s6s200", (4.7124, 2.8444, 1.3230, 4.6331, 2.0944, 1.5708), (1, 4, 6), "kinova_description/robots/kinova.urdf"
+    ),
+    "kinova_j2n6s300": BuiltinArm("j2n6s300", (4.7997, 2.9147, 0.9948, 4.2062, 1.4486, 1.3090), (1, 4, 5, 6), None),
 }
 
 

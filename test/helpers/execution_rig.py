@@ -46,8 +46,7 @@ class Rig:
         )
 
     def state(self, q: np.ndarray) -> None:
-        state = ArmState(np.array(q, dtype=float), time.monotonic(), 0.0, 0.0)
-        self.joints.add(state)
+        state = self.joints.add(ArmState(np.array(q, dtype=float), time.monotonic(), 0.0, 0.0))
         self.execution.on_state(state)
         self.execution.tick()
 

@@ -34,6 +34,7 @@ class Faults:
         stall_at_fraction: the arm stops at this part of every motion's duration; 0 for never.
         shuffle: joints are reported in another order each time.
         extra_joints: further joints to report, besides the arm's fingers.
+        report_wrapped: continuous joints are reported within [-π, π), as the driver of a Gen3 does.
         wrap_offset_turns: turns added to the reported angle of each joint; one number for all, or one a joint; empty for none.
     """
 
@@ -46,6 +47,7 @@ class Faults:
     stall_at_fraction: float = 0.0
     shuffle: bool = False
     extra_joints: tuple[str, ...] = ()
+    report_wrapped: bool = False
     wrap_offset_turns: tuple[int, ...] = ()
 
 
@@ -224,7 +226,10 @@ class SimulatedArm:
             v = 2.0 * v
         extra = (*self.finger_joints, *faults.extra_joints)
         names = (*self.joint_names, *extra)
-        positions = np.concatenate([q + self._offset + faults.noise_rad * self._rng.standard_normal(len(q)), np.zeros(len(extra))])
+        reported = q + self._offset + faults.noise_rad * self._rng.standard_normal(len(q))
+        if faults.report_wrapped:
+            reported = np.where(self._continuous, (reported + np.pi) % (2.0 * np.pi) - np.pi, reported)
+        positions = np.concatenate([reported, np.zeros(len(extra))])
         velocities = np.concatenate([v, np.zeros(len(extra))])
         if faults.shuffle:
             order = self._rng.permutation(len(names))

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from lime_planner.core.types import Array
-from lime_planner.motion.stop import braking, one_point_stop
+from lime_planner.motion.contract import stop_violations
+from lime_planner.motion.stop import braking, braking_reach, one_point_stop
 from lime_planner.motion.trajectory import Trajectory
 from lime_planner.ros.execution.motion import Motion
 from lime_planner.ros.inputs.joint_states import ArmState
@@ -35,6 +36,18 @@ def make_stop(robot: Any, motion: Motion | None, state: ArmState | None, on_path
     """
     if motion is None:
         return None if state is None or robot is None else one_point_stop(robot.joint_names, state.q)
+    stop = _stop_of(robot, motion, state, on_path)
+    if state is None:
+        return stop
+    fitting_s, off = motion.fit(state)
+    lead_s = stop.first_time_s + state.age_s(time.monotonic())
+    reach = np.abs(off) + braking_reach(motion.trajectory, fitting_s, robot.acceleration_limits, lead_s)
+    if stop_violations(stop, q_measured=state.q, reach_rad=reach):  # a defect; where the arm was is the best that is known
+        return one_point_stop(robot.joint_names, state.q)
+    return stop
+
+
+def _stop_of(robot: Any, motion: Motion, state: ArmState | None, on_path: bool) -> Trajectory:
     trajectory, elapsed_s = motion.trajectory, motion.elapsed_s()
     if motion.snapshot.node.controller != "jtc" or not on_path:
         return one_point_stop(trajectory.joint_names, trajectory.sample(elapsed_s) if state is None else state.q)

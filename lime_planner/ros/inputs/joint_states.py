@@ -1,6 +1,10 @@
 """What the arm's joints did lately: the newest configuration, its age, the one at a cloud's stamp, and whether the arm rests.
 
 Stillness is judged by positions alone: the velocities that Kinova's driver reports are unreliable.
+
+Many drivers report a joint that turns without end within one turn, so that its angle jumps by 2π where the joint has hardly moved.
+Every state is put on the turn nearest the one before as it enters the history; what is behind it (the watch over a motion, stops,
+stillness, the arm at a cloud's stamp) sees angles without jumps. A plan begins on the turn that the driver reports then.
 """
 
 from __future__ import annotations
@@ -9,10 +13,12 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+import numpy.typing as npt
 
+from lime_planner.core.geometry import whole_turns
 from lime_planner.core.refusal import Refusal
 from lime_planner.core.status import Status
 from lime_planner.core.types import Array
@@ -30,7 +36,7 @@ class ArmState:
     """One measured configuration.
 
     Attributes:
-        q: (n,) [rad], turns kept.
+        q: (n,) [rad]; in the history continuous joints are on the turn nearest the state before.
         arrival_s: when it arrived, on the monotonic clock.
         stamp_s: its stamp in ROS time; 0.0 when it had none.
         latency_s: ROS time at arrival minus stamp; 0.0 without a stamp.
@@ -49,26 +55,59 @@ class ArmState:
 class JointHistory:
     """The arm's states of the last seconds; written by the callback, read from every thread."""
 
-    def __init__(self) -> None:
-        """Start empty."""
+    def __init__(self, continuous: npt.ArrayLike | None = None) -> None:
+        """Start empty.
+
+        Args:
+            continuous: which joints turn without end, (n,) bool; None: none of them.
+        """
         self._condition = threading.Condition()
         self._states: deque[ArmState] = deque()
+        self._continuous = None if continuous is None else np.array(continuous, dtype=bool)
+        self._before: Array | None = None  # the state before, for a history whose stamps were set back too
+        self._added: Array | None = None  # what the newest state has more than its message [rad]: whole turns
         self._refusal: tuple[float, str] | None = None
         self.received = 0
         self.refused = 0
         self.foreign = 0
 
-    def add(self, state: ArmState, *, counted: bool = False) -> None:
-        """Take in a valid state; `counted` tells that it was received, and skipped, before."""
+    def add(self, state: ArmState, *, counted: bool = False) -> ArmState:
+        """Take in a valid state as it was reported; `counted` tells that it was received, and skipped, before.
+
+        Returns:
+            The state as it is remembered: continuous joints on the turn nearest the state before.
+        """
         with self._condition:
             self.received += not counted
             self.foreign -= counted
+            state = self._unwrapped(state)
             if self._states and 0.0 < state.stamp_s < self._states[-1].stamp_s - CLOCK_JUMP_S:
                 self._states.clear()  # simulated time began anew: the stamps before mean nothing now
             self._states.append(state)
             while self._states and self._states[0].arrival_s < state.arrival_s - HISTORY_S:
                 self._states.popleft()
             self._condition.notify_all()
+            return state
+
+    def _unwrapped(self, state: ArmState) -> ArmState:
+        if self._continuous is not None and self._before is not None:
+            self._added = whole_turns(self._before - state.q, self._continuous)
+            if self._added.any():
+                state = replace(state, q=state.q + self._added)
+        self._before = state.q
+        return state
+
+    def take_reported_turns(self) -> None:
+        """Put the history on the turns that the newest message reported; only while nothing is compared with an older plan.
+
+        A driver that was switched off may count its turns anew; a motion must begin on the turn it reports.
+        """
+        with self._condition:
+            if self._added is None or self._before is None or not self._added.any():
+                return
+            added, self._added = self._added, None
+            self._before = self._before - added
+            self._states = deque(replace(state, q=state.q - added) for state in self._states)
 
     def refuse(self, arrival_s: float, sentence: str) -> bool:
         """Count a state that cannot be used; True when its sentence is a new one."""
@@ -85,11 +124,12 @@ class JointHistory:
             self.received += 1
             self.foreign += 1
 
-    def clear(self) -> None:
-        """Forget everything: another robot."""
+    def clear(self, continuous: npt.ArrayLike | None = None) -> None:
+        """Forget everything: another robot, with these continuous joints, (n,) bool."""
         with self._condition:
             self._states.clear()
-            self._refusal = None
+            self._refusal = self._before = self._added = None
+            self._continuous = None if continuous is None else np.array(continuous, dtype=bool)
 
     @property
     def newest(self) -> ArmState | None:

@@ -12,6 +12,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import numpy.typing as npt
 from geometry_msgs.msg import PoseStamped
 from sensor_msgs.msg import JointState, PointCloud2
 
@@ -172,15 +173,18 @@ class Inputs:
         self.joints = JointHistory()
         self.arm_at_clouds = ArmAtClouds(self.joints)
 
-    def set_joints(self, joint_names: tuple[str, ...], held: Sequence[tuple[str, float]] = ()) -> None:
+    def set_joints(
+        self, joint_names: tuple[str, ...], held: Sequence[tuple[str, float]] = (), continuous: npt.ArrayLike | None = None
+    ) -> None:
         """Say which joints the arm has; what was measured for another arm is forgotten, what came lately is read again.
 
         Args:
             joint_names: the arm's, in its own order.
             held: see `JointReader`.
+            continuous: which of them turn without end, (n,) bool; None: none of them.
         """
         reader = JointReader(joint_names, held)
-        self.joints.clear()
+        self.joints.clear(continuous)
         self._reader = reader
         for msg, _, _ in list(self._recent):
             reader.look_at_held(msg)
@@ -222,7 +226,7 @@ class Inputs:
                 self._warn(str(error))
             return None
         if state is not None:
-            self.joints.add(state)
+            state = self.joints.add(state)
             self.arm_at_clouds.look()
         return state
 

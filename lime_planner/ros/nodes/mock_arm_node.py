@@ -64,7 +64,7 @@ class MockArmNode(Node):
         """Return joint names, finger joints, starting configuration and which joints are continuous (None for all)."""
         robot, names, start = self._table["robot"], tuple(self._table["arm_joints"]), self._table["start"]
         fingers: tuple[str, ...] = ()
-        continuous = None
+        continuous: Any = None
         ready: list[float] = []
         if robot in BUILTIN_ARMS:
             arm = BUILTIN_ARMS[robot]
@@ -72,6 +72,7 @@ class MockArmNode(Node):
             # j2n6s300: the digit after the s is the number of fingers.
             fingers = tuple(f"{arm.prefix}_joint_finger_{i + 1}" for i in range(int(arm.prefix[5])))
             ready = list(arm.home)
+            continuous = arm.continuous if len(names) == len(arm.joint_names) else None
         elif not names:
             if robot == "topic":
                 raise ParameterError("robot is 'topic': the mock arm needs arm_joints then")

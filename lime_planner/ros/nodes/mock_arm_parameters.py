@@ -29,6 +29,7 @@ TABLE: tuple[Parameter, ...] = (
     Parameter("stall_at_fraction", 0.0, "Fault: motions stop at this part of their duration; 0 for never.", minimum=0.0, maximum=1.0),
     Parameter("shuffle", False, "Fault: the joints come in another order each time."),
     Parameter("extra_joints", [], "Fault: further joints to publish, besides the fingers.", element=str),
+    Parameter("report_wrapped", False, "Fault: joints that turn without end are reported within [-π, π)."),
     Parameter("wrap_offset_turns", [], "Fault: turns added to each joint's reported angle; one for all, or one a joint.", element=int),
 )
 _BY_NAME = {parameter.name: parameter for parameter in TABLE}

@@ -186,7 +186,7 @@ class PlannerNode(Node):
     def _on_loaded(self, loaded: Loaded) -> None:
         robot = loaded.robot
         self.board.robot = robot.name
-        self.inputs.set_joints(tuple(robot.joint_names), robot.held_joints)
+        self.inputs.set_joints(tuple(robot.joint_names), robot.held_joints, robot.continuous)
         self.execution.forget_last()
         self.source = SceneSource(self.inputs, self.frames, robot.planning_frame, make_arm_filter(robot))
 

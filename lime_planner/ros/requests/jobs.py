@@ -19,6 +19,7 @@ from lime_planner.core.types import Array
 from lime_planner.ros.convert import target_matrix
 from lime_planner.ros.execution.execution import Execution
 from lime_planner.ros.execution.retreat import way_back
+from lime_planner.ros.execution.turns import nearest_turns, on_turns_of
 from lime_planner.ros.inputs.frames import Frames
 from lime_planner.ros.inputs.joint_states import ArmState
 from lime_planner.ros.inputs.latest import Inputs, Target
@@ -145,7 +146,11 @@ class Requests:
             self.board.note(ticket.plan_id, **_figures(result))
             self._come_to_rest(ticket, snapshot)
             with deadline(ticket, snapshot.node.deadline_s):
-                arm = self._arm(snapshot)
+                arm = self._arm_at_start(snapshot)
+                shown = dataclasses.replace(shown, result=on_turns_of(result, arm.q, loaded.robot.continuous))
+                if shown.result is not result:
+                    result = shown.result
+                    self.board.note(ticket.plan_id, **_figures(result))
                 number = self.source().newest_stem_number()
                 scene = self.source().scene(snapshot, ticket.should_stop)
                 status, sentence = loaded.pipeline.recheck(result, scene, arm.q, snapshot.plan, should_stop=ticket.should_stop)
@@ -168,8 +173,9 @@ class Requests:
             if isinstance(target, Target):
                 self._note_target(ticket, target)
             with deadline(ticket, snapshot.node.deadline_s):
-                arm = self._arm(snapshot)
-                waypoints = way_back(last.result.waypoints, arm.q, forward=last.retreat)
+                arm = self._arm_at_start(snapshot)
+                path = nearest_turns(last.result.waypoints, arm.q, loaded.robot.continuous)
+                waypoints = way_back(path, arm.q, forward=last.retreat)
                 number = self.source().newest_stem_number()
                 scene = self.source().scene(snapshot, ticket.should_stop)
                 self._show_phase(ticket, Phase.PLANNING)
@@ -220,6 +226,12 @@ class Requests:
     def _arm(self, snapshot: Snapshot) -> ArmState:
         return self.inputs.joints.fresh(snapshot.node.max_joint_state_age_s, snapshot.node.max_clock_skew_s)
 
+    def _arm_at_start(self, snapshot: Snapshot) -> ArmState:
+        """Return the state that a plan begins at, on the turns that the driver reports now."""
+        if not self.execution.active:
+            self.inputs.joints.take_reported_turns()
+        return self._arm(snapshot)
+
     def _come_to_rest(self, ticket: Ticket, snapshot: Snapshot) -> None:
         """Stop what runs and wait until the arm is seen to rest."""
         node = snapshot.node
@@ -248,7 +260,7 @@ class Requests:
     def _planned(self, ticket: Ticket, loaded: Loaded, snapshot: Snapshot, target: Target, left_s: Left) -> Shown:
         began_s = time.monotonic()
         header = target.msg.header
-        arm = self._arm(snapshot)
+        arm = self._arm_at_start(snapshot)
         frame = header.frame_id.strip().lstrip("/")
         T_base_tool = target.T_frame_tool
         if frame != loaded.robot.planning_frame:
