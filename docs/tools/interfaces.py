@@ -21,8 +21,7 @@ import rclpy
 from rclpy.node import Node
 
 from lime_planner.core.errors import RobotError
-from lime_planner.ros.nodes.mock_arm_node import MockArmNode
-from lime_planner.ros.nodes.mock_arm_parameters import TABLE
+from lime_planner.ros.nodes.mock_arm_node import TABLE, MockArmNode
 from lime_planner.ros.nodes.planner_node import PlannerNode
 from lime_planner.ros.nodes.scene_node import _PARAMETERS as SCENE_PARAMETERS
 from lime_planner.ros.nodes.scene_node import SceneNode

@@ -7,14 +7,15 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Any
 
 from lime_planner.core.errors import LimePlannerError
 from lime_planner.core.parameters import Settings
 from lime_planner.core.refusal import Refusal
 from lime_planner.core.status import Status
 from lime_planner.motion import stop
-from lime_planner.ros.attendant import Attendant
+from lime_planner.pipeline import Pipeline
+from lime_planner.robot.model import Robot, load_robot, robot_from_urdf
+from lime_planner.ros.runtime import BackgroundThread
 
 #: `robot` parameter that asks for the model from the topic `robot_description`.
 FROM_TOPIC = "topic"
@@ -24,8 +25,8 @@ FROM_TOPIC = "topic"
 class Loaded:
     """A robot model and the pipeline made of it."""
 
-    robot: Any
-    pipeline: Any
+    robot: Robot
+    pipeline: Pipeline
 
     def warm_up(self) -> None:
         """Compile what planning and stopping need."""
@@ -43,19 +44,15 @@ def build(settings: Settings, urdf: str | None) -> Loaded:
     Raises:
         RobotError: the description cannot be used.
     """
-    from lime_planner.pipeline import Pipeline
-    from lime_planner.robot.model import load_robot, robot_from_urdf
-
-    options: dict[str, Any] = {
-        "joint_names": settings.arm_joints or None,
-        "planning_frame": settings.planning_frame or None,
-        "tool_frame": settings.tool_frame or None,
-    }
-    robot = load_robot(settings.robot, **options) if urdf is None else robot_from_urdf(urdf, **options)
+    joint_names, planning_frame, tool_frame = settings.arm_joints or None, settings.planning_frame or None, settings.tool_frame or None
+    if urdf is None:
+        robot = load_robot(settings.robot, joint_names=joint_names, planning_frame=planning_frame, tool_frame=tool_frame)
+    else:
+        robot = robot_from_urdf(urdf, joint_names=joint_names, planning_frame=planning_frame, tool_frame=tool_frame)
     return Loaded(robot, Pipeline(robot))
 
 
-class Engine(Attendant):
+class ModelLoader(BackgroundThread):
     """Loads in a thread of its own, so that the node serves from its first second."""
 
     def __init__(
@@ -76,7 +73,7 @@ class Engine(Attendant):
             on_loaded: is told about each new model before it is used.
             report: log: (whether it is an error, sentence).
         """
-        super().__init__("engine")
+        super().__init__("model loader")
         self._builder = builder
         self._settings = settings
         self._may_exchange = may_exchange

@@ -1,18 +1,22 @@
-"""How every node of the package is run and ended: exit code 0 after SIGINT or SIGTERM, at any moment, as often as they come.
+"""What every node of the package runs on: the program's beginning and end, threads beside the executor's, the log, freed memory.
 
-The usual spin-and-catch loop ends with code 1 or a traceback when a signal arrives inside a wait, or twice. Here the signals are only
-written to a pipe; a thread spins; the main thread waits at the pipe's other end and then takes the node down in a fixed order.
+A program ends with exit code 0 after SIGINT or SIGTERM, at any moment, as often as they come. The usual spin-and-catch loop ends with
+code 1 or a traceback when a signal arrives inside a wait, or twice. Here the signals are only written to a pipe; a thread spins; the
+main thread waits at the pipe's other end and then takes the node down in a fixed order.
 """
 
 from __future__ import annotations
 
+import ctypes
 import faulthandler
 import os
+import re
 import sys
 import threading
+import time
 import traceback
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
-from typing import Any
 
 import rclpy
 from rclpy.executors import Executor, MultiThreadedExecutor, SingleThreadedExecutor
@@ -28,6 +32,9 @@ JOIN_TIMEOUT_S = 5.0
 #: A process that has not ended this long after its signal says where it hangs and ends with code 1, so that it can be started anew [s].
 END_TIMEOUT_S = 20.0
 
+_NUMBERS = re.compile(r"[-+0-9.]+")
+_KINDS_REMEMBERED = 200
+
 
 class _Stop(Future):
     """The future that ends spinning.
@@ -39,7 +46,7 @@ class _Stop(Future):
         super().__init__()
         self._registered = False
 
-    def add_done_callback(self, callback: Callable[[Any], None]) -> None:
+    def add_done_callback(self, callback: Callable[[Future], None]) -> None:
         if not self._registered:
             self._registered = True
             super().add_done_callback(callback)
@@ -117,3 +124,109 @@ def _take_down(node: Node, executor: Executor, thread: threading.Thread) -> None
     executor.shutdown()
     node.destroy_node()
     rclpy.try_shutdown()
+
+
+class BackgroundThread(ABC):
+    """A daemon thread that waits at `_condition` for work, until it is closed; a subclass says in `_run` what it does."""
+
+    def __init__(self, name: str) -> None:
+        """Make the thread; the subclass calls `_start` once it is complete.
+
+        Args:
+            name: of the thread, as debuggers and logs show it.
+        """
+        self._condition = threading.Condition()
+        self._closed = False
+        self._thread = threading.Thread(target=self._run, name=name, daemon=True)
+
+    def _start(self) -> None:
+        self._thread.start()
+
+    def close(self, timeout_s: float = 2.0) -> bool:
+        """End the thread; False if it is still at work after `timeout_s` (it dies with the process then)."""
+        with self._condition:
+            self._closed = True
+            self._condition.notify_all()
+        self._thread.join(timeout_s)
+        return not self._thread.is_alive()
+
+    @abstractmethod
+    def _run(self) -> None:
+        """Work until `_closed`."""
+
+
+class Spinning:
+    """A client's node, its executor and a thread that spins them; `close` takes all of them, and the node's context, down."""
+
+    def __init__(self, node: Node) -> None:
+        """Start to spin; the node is complete."""
+        self.node = node
+        self._executor = SingleThreadedExecutor(context=node.context)
+        self._executor.add_node(node)
+        self._done = Future()
+        self._thread = threading.Thread(target=self._executor.spin_until_future_complete, args=(self._done,), name="spin", daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """Leave the graph."""
+        self._done.set_result(None)
+        self._executor.wake()
+        self._thread.join(5.0)
+        self._executor.shutdown()
+        context = self.node.context
+        self.node.destroy_node()
+        context.try_shutdown()
+
+
+class Throttle:
+    """Keeps a repeated warning from filling the log, without hiding a different one behind it.
+
+    Each kind of sentence is passed on once in a while; sentences that differ only in their numbers are of one kind.
+    """
+
+    def __init__(self, log: Callable[[str], object], period_s: float) -> None:
+        """Make a throttle.
+
+        Args:
+            log: where sentences go.
+            period_s: shortest time between two of one kind [s].
+        """
+        self._log = log
+        self._period_s = period_s
+        self._lock = threading.Lock()
+        self._seen: dict[str, tuple[float, int]] = {}
+
+    def __call__(self, sentence: str) -> None:
+        """Log the sentence, or count it for the next time."""
+        kind = _NUMBERS.sub("#", sentence)
+        now_s = time.monotonic()
+        with self._lock:
+            last_s, held_back = self._seen.get(kind, (-float("inf"), 0))
+            if now_s - last_s < self._period_s:
+                self._seen[kind] = (last_s, held_back + 1)
+                return
+            if len(self._seen) >= _KINDS_REMEMBERED:
+                self._seen.clear()
+            self._seen[kind] = (now_s, 0)
+        self._log(f"{sentence} ({held_back} more like this since the last)" if held_back else sentence)
+
+
+def _find_trim() -> Callable[[int], int] | None:
+    try:
+        trim: Callable[[int], int] = ctypes.CDLL(None).malloc_trim  # glibc's; calls release the GIL
+    except (OSError, AttributeError, TypeError):
+        return None
+    return trim
+
+
+_TRIM = _find_trim()
+
+
+def give_back() -> None:
+    """Return freed pages to the system; takes a few milliseconds, and does nothing where the C library is not glibc.
+
+    A plan allocates and frees tens of megabytes of distance fields in several threads. glibc keeps what lies between blocks that are
+    still in use, in an arena for each thread, so that without this the node grows with every rare combination of sizes.
+    """
+    if _TRIM is not None:
+        _TRIM(0)

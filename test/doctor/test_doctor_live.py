@@ -16,7 +16,7 @@ from ros_fakes import cloud
 
 from lime_planner.ros.inputs.latest import Inputs
 from lime_planner.ros.parameters import snapshot_from
-from lime_planner.ros.requests.status import health_message
+from lime_planner.ros.requests.status_board import health_message
 from lime_planner.ros.tools import live_checks
 from lime_planner.ros.tools.listener import Listener
 

@@ -222,7 +222,7 @@ def rig(domain: int) -> Iterator[Rig]:
     try:
         bench.call("stop")
         made = Rig(node, bench)
-        made.wait_until(lambda: node.engine.ready, "the engine")
+        made.wait_until(lambda: node.loader.ready, "the model")
         made.wait_until(lambda: made.labelled.get_subscription_count() > 0, "subscriptions")
         made.good()
         made.wait_until(lambda: node.inputs.joints.still(0.25, 0.003), "rest")

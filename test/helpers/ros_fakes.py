@@ -53,6 +53,7 @@ class FakeResult:
     tool_path: np.ndarray
     tool_leaf: np.ndarray
     seed: int = 1
+    T_base_tool: np.ndarray | None = None
 
     def figures(self) -> dict[str, Any]:
         known = {"status": self.status.name, "message": self.message, "planner": "fake", "seed": self.seed}
@@ -68,7 +69,7 @@ def trajectory(start: np.ndarray, goal: np.ndarray, duration_s: float, dt_s: flo
     return Trajectory(JOINTS[: len(start)], dt_s, start + u * u * (3.0 - 2.0 * u) * (goal - start), velocities)
 
 
-def result(start: np.ndarray, goal: np.ndarray, duration_s: float = 0.5) -> FakeResult:
+def result(start: np.ndarray, goal: np.ndarray, duration_s: float = 0.5, T_base_tool: np.ndarray | None = None) -> FakeResult:
     """A successful plan."""
     return FakeResult(
         Status.SUCCEEDED,
@@ -77,6 +78,7 @@ def result(start: np.ndarray, goal: np.ndarray, duration_s: float = 0.5) -> Fake
         trajectory(start, goal, duration_s),
         np.tile([0.1, 0.2, 0.3, 0.0, 0.0, 0.0, 1.0], (5, 1)),
         np.zeros(5),
+        T_base_tool=T_base_tool,
     )
 
 
@@ -102,8 +104,8 @@ class FakePipeline:
             time.sleep(0.002)
         if T_base_tool[2, 3] < 0.0:
             nothing = np.empty((0, 3)), None, np.empty((0, 7)), np.empty(0)
-            return FakeResult(Status.NO_IK_SOLUTION, "NO_IK_SOLUTION: out of reach", *nothing, seed)
-        return result(q_start, q_start + T_base_tool[0, 3], self.duration_s)
+            return FakeResult(Status.NO_IK_SOLUTION, "NO_IK_SOLUTION: out of reach", *nothing, seed, T_base_tool)
+        return result(q_start, q_start + T_base_tool[0, 3], self.duration_s, T_base_tool)
 
     def recheck(self, plan: FakeResult, scene: Any, q: np.ndarray, settings: Any, *, should_stop: Any) -> tuple[Status, str]:
         if np.abs(plan.waypoints[0] - q).max() > 0.01:
@@ -111,14 +113,14 @@ class FakePipeline:
         return Status.SUCCEEDED, "still free"
 
     def follow(self, waypoints: np.ndarray, scene: Any, T_base_tool: Any, settings: Any, *, should_stop: Any) -> FakeResult:
-        return result(waypoints[0], waypoints[-1], self.duration_s)
+        return result(waypoints[0], waypoints[-1], self.duration_s, T_base_tool)
 
     def obstruction(self, plan: FakeResult, scene: Any, settings: Any, *, should_stop: Any, from_time_s: float = 0.0) -> str | None:
         return "a stem stands 0.3 m ahead" if len(scene.stem_points) == 99 else None
 
 
 def build_fake(settings: Any, urdf: str | None) -> Loaded:
-    """An engine's builder."""
+    """A builder of the model loader."""
     robot = FakeRobot()
     return Loaded(robot, FakePipeline(robot))
 

@@ -31,7 +31,7 @@ from trajectory_msgs.msg import JointTrajectory
 from lime_planner.motion.trajectory import Trajectory
 from lime_planner.ros import qos
 from lime_planner.ros.convert import to_pose
-from lime_planner.ros.requests.status import read_status
+from lime_planner.ros.requests.status_board import read_status
 
 ROOT = Path(__file__).resolve().parents[2]
 TEST = Path(__file__).resolve().parent

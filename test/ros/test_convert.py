@@ -23,7 +23,7 @@ from lime_planner.ros.convert import (
     to_pose,
     to_pose_stamped,
 )
-from lime_planner.ros.requests.status import Phase, health_message, read_status, status_message, text
+from lime_planner.ros.requests.status_board import Phase, health_message, read_status, status_message, text
 
 
 def state(names: list[str], positions: list[float]) -> JointState:

@@ -1,4 +1,4 @@
-"""Engine, way back, markers, throttle, arm filter and the arm's surface."""
+"""Model loader, way back, markers, throttle, arm filter and the arm's surface."""
 
 from __future__ import annotations
 
@@ -17,11 +17,12 @@ from lime_planner.core.errors import RobotError
 from lime_planner.core.parameters import settings_from
 from lime_planner.core.refusal import Refusal
 from lime_planner.core.status import Status
+from lime_planner.pipeline.plan_record import PlanRecord
 from lime_planner.robot.model import Robot, home, load_robot
 from lime_planner.ros.display.markers import markers
 from lime_planner.ros.execution.retreat import way_back
-from lime_planner.ros.model_loader import Engine, Loaded
-from lime_planner.ros.throttle import Throttle
+from lime_planner.ros.model_loader import Loaded, ModelLoader
+from lime_planner.ros.runtime import Throttle
 from lime_planner.scene.scene import Scene
 
 pytestmark = pytest.mark.alone
@@ -32,16 +33,16 @@ def never() -> bool:
 
 
 class Log:
-    """Records what an engine says and which models it brought."""
+    """Records what a model loader says and which models it brought."""
 
     def __init__(self) -> None:
         self.reports: list[tuple[bool, str]] = []
         self.models: list[Loaded] = []
         self.may_exchange = True
 
-    def engine(self, builder: Any, robot: str = "kinova_j2s6s200") -> Engine:
+    def loader(self, builder: Any, robot: str = "kinova_j2s6s200") -> ModelLoader:
         settings = settings_from({"robot": robot})
-        return Engine(
+        return ModelLoader(
             builder,
             settings,
             may_exchange=lambda: self.may_exchange,
@@ -56,88 +57,88 @@ def build(_settings: Any, urdf: str | None, warm_up_s: float = 0.0) -> Loaded:
     return Loaded(FakeRobot(name=urdf or "fake"), FakePipeline(FakeRobot(), warm_up_s))
 
 
-def refusal_of(engine: Engine, timeout_s: float) -> tuple[Status, str]:
-    with pytest.raises(Refusal) as caught, engine.use(timeout_s, never):
+def refusal_of(loader: ModelLoader, timeout_s: float) -> tuple[Status, str]:
+    with pytest.raises(Refusal) as caught, loader.use(timeout_s, never):
         pass
     return caught.value.status, str(caught.value)
 
 
 def test_requests_wait_for_the_warm_up_within_their_bound() -> None:
     log = Log()
-    engine = log.engine(lambda settings, urdf: build(settings, urdf, 0.3))
-    assert engine.wait_loaded(1.0, never).robot.name == "fake"
-    status, sentence = refusal_of(engine, 0.05)
+    loader = log.loader(lambda settings, urdf: build(settings, urdf, 0.3))
+    assert loader.wait_loaded(1.0, never).robot.name == "fake"
+    status, sentence = refusal_of(loader, 0.05)
     assert status is Status.NOT_READY
     assert "compiling the kernels; waited 0.05 s" in sentence
     assert log.models
-    with engine.use(60.0, never) as loaded:  # the first stop is compiled too
+    with loader.use(60.0, never) as loaded:  # the first stop is compiled too
         assert loaded.robot.name == "fake"
-    assert engine.ready
+    assert loader.ready
     assert "ready to plan for fake" in log.reports[0][1]
-    assert engine.close()
+    assert loader.close()
 
 
 def test_a_robot_that_cannot_be_loaded_is_a_sentence() -> None:
     log = Log()
-    engine = log.engine(lambda settings, urdf: build(settings, "bad"))
-    status, sentence = refusal_of(engine, 60.0)
+    loader = log.loader(lambda settings, urdf: build(settings, "bad"))
+    status, sentence = refusal_of(loader, 60.0)
     assert (status, sentence) == (Status.BAD_INPUT, "the robot cannot be loaded: the URDF has no joints")
     assert log.reports == [(True, sentence)]
 
     def defect(_settings: Any, _urdf: str | None) -> Loaded:
         raise ZeroDivisionError("oops")
 
-    assert "ZeroDivisionError: oops" in refusal_of(log.engine(defect), 5.0)[1]
+    assert "ZeroDivisionError: oops" in refusal_of(log.loader(defect), 5.0)[1]
 
 
 def test_descriptions_are_taken_in_between_plans_only() -> None:
     log = Log()
-    engine = log.engine(build, "topic")
-    assert refusal_of(engine, 0.05)[1].startswith("waiting for robot_description")
-    engine.offer("bad")
-    assert refusal_of(engine, 60.0)[0] is Status.BAD_INPUT
-    engine.offer("one")
-    with engine.use(60.0, never) as loaded:
+    loader = log.loader(build, "topic")
+    assert refusal_of(loader, 0.05)[1].startswith("waiting for robot_description")
+    loader.offer("bad")
+    assert refusal_of(loader, 60.0)[0] is Status.BAD_INPUT
+    loader.offer("one")
+    with loader.use(60.0, never) as loaded:
         assert loaded.robot.name == "one"
-        engine.offer("two")
+        loader.offer("two")
         time.sleep(0.1)
         assert [model.robot.name for model in log.models] == ["one"]
     deadline = time.monotonic() + 60.0
     while len(log.models) < 2 and time.monotonic() < deadline:
         time.sleep(0.01)
-    with engine.use(60.0, never) as loaded:
+    with loader.use(60.0, never) as loaded:
         assert loaded.robot.name == "two"
     log.may_exchange = False
-    engine.offer("three")
+    loader.offer("three")
     time.sleep(0.15)
-    with engine.use(60.0, never) as loaded:
+    with loader.use(60.0, never) as loaded:
         assert loaded.robot.name == "two"
-    engine.offer("bad")
-    assert engine.close()
+    loader.offer("bad")
+    assert loader.close()
 
 
 def test_the_same_description_again_changes_nothing() -> None:
     log = Log()
-    engine = log.engine(build, "topic")
+    loader = log.loader(build, "topic")
 
     def taken(count: int) -> None:
         deadline = time.monotonic() + 60.0
         while len(log.models) < count and time.monotonic() < deadline:
             time.sleep(0.01)
-        with engine.use(60.0, never):
+        with loader.use(60.0, never):
             assert [model.robot.name for model in log.models] == ["one", "two", "one"][:count]
 
-    engine.offer("one")
+    loader.offer("one")
     taken(1)
     for _ in range(3):  # the publisher was restarted
-        engine.offer("one")
+        loader.offer("one")
     time.sleep(0.2)
     taken(1)
-    engine.offer("two")
+    loader.offer("two")
     taken(2)
-    engine.offer("one")
+    loader.offer("one")
     taken(3)
-    assert engine.close()
+    assert loader.close()
 
 
 def test_a_description_that_failed_may_be_offered_again() -> None:
@@ -147,29 +148,29 @@ def test_a_description_that_failed_may_be_offered_again() -> None:
     def builder(settings: Any, urdf: str | None) -> Loaded:
         return build(settings, urdf if there else "bad")
 
-    engine = log.engine(builder, "topic")
-    engine.offer("one")
-    assert refusal_of(engine, 60.0)[0] is Status.BAD_INPUT
+    loader = log.loader(builder, "topic")
+    loader.offer("one")
+    assert refusal_of(loader, 60.0)[0] is Status.BAD_INPUT
     there.append("its meshes")
-    engine.offer("one")
-    with engine.use(60.0, never) as loaded:
+    loader.offer("one")
+    with loader.use(60.0, never) as loaded:
         assert loaded.robot.name == "one"
-    assert engine.close()
+    assert loader.close()
 
 
 def test_a_bad_description_leaves_the_good_model() -> None:
     log = Log()
-    engine = log.engine(build, "topic")
-    engine.offer("one")
-    with engine.use(60.0, never):
+    loader = log.loader(build, "topic")
+    loader.offer("one")
+    with loader.use(60.0, never):
         pass
-    engine.offer("bad")
+    loader.offer("bad")
     deadline = time.monotonic() + 60.0
     while not log.reports[-1][0] and time.monotonic() < deadline:
         time.sleep(0.01)
-    with engine.use(1.0, never) as loaded:
+    with loader.use(1.0, never) as loaded:
         assert loaded.robot.name == "one"
-    assert engine.close()
+    assert loader.close()
 
 
 PATH = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0]])
@@ -198,7 +199,7 @@ def test_markers_show_what_was_used() -> None:
     settings = settings_from({"keep_out_boxes": [0.0, 0.0, 0.0, 1.0, 2.0, 3.0]})
     plan = result(np.zeros(3), np.ones(3))
     plan.tool_leaf[3] = 0.5
-    array = markers(scene, np.eye(4), plan, settings, Time())
+    array = markers(PlanRecord(1, scene, settings, np.eye(7)[6], plan), Time())  # type: ignore[arg-type]
     by_name = {marker.ns: marker for marker in array.markers}
     assert set(by_name) == {"", "leaves", "stems", "keep_out_boxes", "target", "excluded_sphere", "tool_path"}
     assert len(by_name["leaves"].points) <= 10_000

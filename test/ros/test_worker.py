@@ -10,8 +10,7 @@ import pytest
 
 from lime_planner.core.refusal import Refusal
 from lime_planner.core.status import Status
-from lime_planner.ros.requests.deadline import answered_after
-from lime_planner.ros.requests.worker import Answer, Ticket, Worker
+from lime_planner.ros.requests.worker import Answer, Ticket, Worker, answered_after
 
 pytestmark = pytest.mark.alone
 

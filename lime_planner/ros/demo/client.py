@@ -18,8 +18,8 @@ from std_srvs.srv import Trigger
 from lime_planner.core.types import Array
 from lime_planner.ros import qos
 from lime_planner.ros.demo.processes import Corner, DemoError
-from lime_planner.ros.requests.status import read_status
-from lime_planner.ros.spinning import Spinning
+from lime_planner.ros.requests.status_board import read_status
+from lime_planner.ros.runtime import Spinning
 
 _PLANNER = "lime_planner"
 

@@ -1,4 +1,4 @@
-"""Draws plans for RViz and Foxglove in a thread of its own, and only while somebody subscribes: no answer waits for a picture."""
+"""Draws plans for RViz and Foxglove in a thread of its own, and only while there is a subscriber: no answer waits for a picture."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ import numpy as np
 from builtin_interfaces.msg import Time
 from visualization_msgs.msg import MarkerArray
 
-from lime_planner.core.geometry import matrix_to_pose
-from lime_planner.core.types import Array, Float32
-from lime_planner.ros.attendant import Attendant
+from lime_planner.core.types import Float32
 from lime_planner.ros.display.markers import Extras, markers
-from lime_planner.ros.model_loader import Loaded
-from lime_planner.ros.requests.jobs import Shown
+from lime_planner.ros.model_loader import Loaded, ModelLoader
+from lime_planner.ros.requests.parts import PlannedRequest
+from lime_planner.ros.requests.worker import Worker
+from lime_planner.ros.runtime import BackgroundThread
 
 _SAMPLES = 60  #: configurations along the path at which touched leaves are looked for
 
@@ -31,49 +31,44 @@ class Publisher(Protocol):
         ...
 
 
-class MarkerDesk(Attendant):
-    """Keeps the newest plan, and publishes its markers once somebody wants to see them."""
+class MarkerPublisher(BackgroundThread):
+    """Remembers the newest plan, and publishes its markers once there is a subscriber."""
 
     def __init__(
-        self,
-        publisher: Publisher,
-        model: Callable[[], Loaded | None],
-        busy: Callable[[], bool],
-        now: Callable[[], Time],
-        warn: Callable[[str], None],
+        self, publisher: Publisher, loader: ModelLoader, worker: Worker, now: Callable[[], Time], warn: Callable[[str], None]
     ) -> None:
         """Start the thread.
 
         Args:
             publisher: of the markers.
-            model: the arm and its pipeline.
-            busy: whether a plan is being made; the search tree, which takes a search to draw, is left out then.
+            loader: of the arm and its pipeline.
+            worker: while it plans the search tree, which takes a search to draw, is left out.
             now: the ROS time.
             warn: is told about a picture that could not be drawn.
         """
         super().__init__("markers")
         self._publisher = publisher
-        self._model = model
-        self._busy = busy
+        self._loader = loader
+        self._worker = worker
         self._now = now
         self._warn = warn
-        self._newest: tuple[Shown, Loaded | None] | None = None
-        self._drawn: Shown | None = None
+        self._newest: tuple[PlannedRequest, Loaded | None] | None = None
+        self._drawn: PlannedRequest | None = None
         self._start()
 
-    def show(self, shown: Shown) -> None:
-        """Take in a plan; it is drawn at once if somebody subscribes."""
+    def show(self, planned: PlannedRequest) -> None:
+        """Take in a plan; it is drawn at once if there is a subscriber."""
         with self._condition:
-            self._newest = (shown, self._model())
+            self._newest = (planned, self._loader.loaded)
         self.check()
 
     def check(self) -> None:
-        """Draw the newest plan if somebody has come who has not seen it; to be called now and then."""
+        """Draw the newest plan for subscribers that have come since it was made; to be called now and then."""
         with self._condition:
             if self._wanted() is not None:
                 self._condition.notify_all()
 
-    def _wanted(self) -> tuple[Shown, Loaded | None] | None:
+    def _wanted(self) -> tuple[PlannedRequest, Loaded | None] | None:
         """Return the newest plan if it is to be drawn."""
         if self._newest is None or self._newest[0] is self._drawn or self._publisher.get_subscription_count() == 0:
             return None
@@ -89,49 +84,44 @@ class MarkerDesk(Attendant):
                 wanted = self._wanted()
                 if wanted is None:  # the subscriber has left meanwhile
                     continue
-                shown, loaded = wanted
-                self._drawn = shown
+                planned, loaded = wanted
+                self._drawn = planned
             try:
-                self._draw(shown, loaded)
+                self._draw(planned, loaded)
             except Exception as error:  # a picture is no reason to end the planner
                 self._warn(f"the markers could not be drawn: {type(error).__name__}: {error}")
 
-    def _draw(self, shown: Shown, loaded: Loaded | None) -> None:
-        extras = Extras()
-        bodies = loaded is not None and bool(loaded.robot.links) and len(shown.result.waypoints) > 1
-        if loaded is not None and bodies:
-            extras = _extras(shown, loaded)
-        self._publish(shown, extras)
-        if loaded is None or not bodies or shown.target is None or shown.T_base_tool is None:
+    def _draw(self, planned: PlannedRequest, loaded: Loaded | None) -> None:
+        record = planned.record
+        if loaded is None or not loaded.robot.links or not record.found:
+            self._publisher.publish(markers(record, self._now()))
+            return
+        extras = _extras(planned, loaded)
+        self._publisher.publish(markers(record, self._now(), extras))
+        if planned.target is None or record.target is None or self._stale(planned):
             return  # a retreat was not searched for
-        if not self._stale(shown):
-            tree = self._tree(shown, matrix_to_pose(shown.T_base_tool), loaded)
-            if len(tree) and not self._stale(shown):
-                self._publish(shown, Extras(extras.goal_arm, extras.touched, tree))
+        tree = self._tree(planned, loaded)
+        if len(tree) and not self._stale(planned):
+            self._publisher.publish(markers(record, self._now(), Extras(extras.goal_arm, extras.touched, tree)))
 
-    def _publish(self, shown: Shown, extras: Extras) -> None:
-        self._publisher.publish(markers(shown.scene, shown.T_base_tool, shown.result, shown.snapshot.plan, self._now(), extras))
+    def _stale(self, planned: PlannedRequest) -> bool:
+        return self._closed or self._worker.current is not None or self._newest is None or self._newest[0] is not planned
 
-    def _stale(self, shown: Shown) -> bool:
-        return self._closed or self._busy() or self._newest is None or self._newest[0] is not shown
-
-    def _tree(self, shown: Shown, target: Array, loaded: Loaded) -> Float32:
+    def _tree(self, planned: PlannedRequest, loaded: Loaded) -> Float32:
         """Return tool positions of the pieces of the search tree's edges, (S, 2, 3): the search runs once more, with its own seed."""
         from lime_planner.output.search_tree import grow_again
-        from lime_planner.pipeline.plan_record import PlanRecord
 
-        plan = PlanRecord(0, shown.scene, shown.snapshot.plan, target, shown.result)
-        return grow_again(loaded.pipeline, plan, should_stop=lambda: self._stale(shown)).segments.reshape(-1, 2, 3)
+        return grow_again(loaded.pipeline, planned.record, should_stop=lambda: self._stale(planned)).segments.reshape(-1, 2, 3)
 
 
-def _extras(shown: Shown, loaded: Loaded) -> Extras:
+def _extras(planned: PlannedRequest, loaded: Loaded) -> Extras:
     """Draw the arm at the path's end, and find the leaf points that it touches on its way."""
     from lime_planner.collision.touched_points import touched_points
     from lime_planner.pipeline.finish import sample_path
     from lime_planner.robot.convex_hulls import arm_hull
 
-    waypoints, points = shown.result.waypoints, shown.scene.leaf_points
+    waypoints, points = planned.record.result.waypoints, planned.record.scene.leaf_points
     rows, _ = sample_path(waypoints, 0.03)
     rows = rows[np.unique(np.linspace(0, len(rows) - 1, min(len(rows), _SAMPLES)).round().astype(int))]
-    marks = touched_points(loaded.robot, loaded.pipeline.shapes, rows, points, shown.snapshot.plan.leaf_point_radius_m)
+    marks = touched_points(loaded.robot, loaded.pipeline.shapes, rows, points, planned.record.settings.leaf_point_radius_m)
     return Extras(arm_hull(loaded.robot, waypoints[-1]), points[marks.any(axis=0)])

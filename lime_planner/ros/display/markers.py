@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -12,11 +11,10 @@ from geometry_msgs.msg import Point
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
-from lime_planner.core.geometry import matrix_to_pose
-from lime_planner.core.parameters import Settings
+from lime_planner.core.geometry import matrix_to_pose, pose_to_matrix
 from lime_planner.core.types import Array
+from lime_planner.pipeline.plan_record import PlanRecord
 from lime_planner.ros.convert import to_pose
-from lime_planner.scene.scene import Scene
 
 #: Points shown of each class; more only slows the display down.
 _SHOWN = 10_000
@@ -124,34 +122,25 @@ class _Picture:
             marker.pose.position.x, marker.pose.position.y, marker.pose.position.z = (float(v) for v in middle)
 
 
-def markers(
-    scene: Scene,
-    T_base_tool: Array | None,
-    result: Any,
-    settings: Settings,
-    stamp: Time,
-    extras: Extras | None = None,
-) -> MarkerArray:
+def markers(record: PlanRecord, stamp: Time, extras: Extras | None = None) -> MarkerArray:
     """Draw one plan.
 
     Args:
-        scene: the scene as used.
-        T_base_tool: the target (4, 4), or None.
-        result: the pipeline's result.
-        settings: the plan's parameters.
+        record: the plan with what it was made of.
         stamp: now.
         extras: what was computed for the picture alone.
     """
     extras = extras or Extras()
+    scene, result, settings = record.scene, record.result, record.settings
     picture = _Picture(scene.frame_id, stamp)
     picture.cloud("leaves", scene.leaf_points, _LEAF)
     picture.cloud("stems", scene.stem_points, _STEM)
     picture.cloud("fruit", scene.fruit_points, _FRUIT)
     picture.boxes(settings.keep_out_boxes)
-    if T_base_tool is not None:
-        picture.target(T_base_tool, settings.target_exclusion_radius_m)
+    if record.target is not None:
+        picture.target(pose_to_matrix(record.target), settings.target_exclusion_radius_m)
     picture.cloud("touched_leaves", extras.touched, _TOUCHING, 0.007)
     picture.body("goal_arm", extras.goal_arm, _GOAL_ARM)
     picture.tree(extras.tree)
-    picture.path(np.asarray(result.tool_path, dtype=np.float64).reshape(-1, 7), np.asarray(result.tool_leaf, dtype=np.float64))
+    picture.path(result.tool_path.reshape(-1, 7), result.tool_leaf)
     return picture.array

@@ -11,16 +11,18 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
+from trajectory_msgs.msg import JointTrajectory
 
 from lime_planner.core.refusal import Refusal
 from lime_planner.core.status import Status
 from lime_planner.core.types import Array
 from lime_planner.motion.trajectory import Trajectory
+from lime_planner.pipeline.result import PlanResult
 from lime_planner.ros.execution.motion import Ended, Motion
 from lime_planner.ros.inputs.joint_states import ArmState, JointHistory
+from lime_planner.ros.inputs.latest import Target
 from lime_planner.ros.parameters import Snapshot
 
 #: Joint states must be silent for at least this long to stop a motion, whatever age a plan may start from [s]: a machine under
@@ -55,8 +57,8 @@ class Execution:
     def __init__(
         self,
         joints: JointHistory,
-        prepare: Callable[[Trajectory], Any],
-        publish: Callable[[Any], None],
+        prepare: Callable[[Trajectory], JointTrajectory],
+        publish: Callable[[JointTrajectory], None],
         subscribers: Callable[[], int],
         make_stop: StopMaker,
         on_stop: Callable[[Motion], None],
@@ -126,7 +128,17 @@ class Execution:
         self._last = None
 
     def send(
-        self, plan_id: int, result: Any, trajectory: Trajectory, snapshot: Snapshot, commit: Callable[[], bool], **more: Any
+        self,
+        plan_id: int,
+        result: PlanResult,
+        trajectory: Trajectory,
+        snapshot: Snapshot,
+        commit: Callable[[], bool],
+        *,
+        T_base_tool: Array | None = None,
+        target: Target | None = None,
+        retreat: bool = False,
+        replans_left: int = 0,
     ) -> Motion | None:
         """Check once more and send.
 
@@ -136,7 +148,7 @@ class Execution:
             trajectory: what to send; its first point is where planning began.
             snapshot: the parameters of the plan.
             commit: the request's point of no return; False when it was answered meanwhile, then nothing is sent.
-            **more: further attributes of `Motion`.
+            T_base_tool, target, retreat, replans_left: see `Motion`.
 
         Returns:
             The motion, or None when the request was answered meanwhile.
@@ -164,9 +176,12 @@ class Execution:
                 trajectory,
                 time.monotonic(),
                 snapshot,
+                T_base_tool=T_base_tool,
+                retreat=retreat,
+                replans_left=replans_left,
+                target=target,
                 simulated=self._simulated,
                 simulated_start_s=self._simulated(),
-                **more,
             )
             self._restless = None
             return self._motion

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
-from typing import Any
+from collections.abc import Callable
+from dataclasses import dataclass
 
 from lime_planner.core.status import Status
 from lime_planner.core.types import Array
 from lime_planner.motion.progress import best_fit
 from lime_planner.motion.trajectory import Trajectory
+from lime_planner.pipeline.result import PlanResult
 from lime_planner.ros.inputs.joint_states import ArmState
+from lime_planner.ros.inputs.latest import Target
 from lime_planner.ros.parameters import Snapshot
 
 
@@ -28,20 +29,20 @@ class Motion:
         T_base_tool: the target it leads to, or on a retreat away from, (4, 4).
         retreat: whether it leads back along an earlier one.
         replans_left: how often it may be planned again if it is aborted.
-        context: the request's context (its target).
+        target: the target of its request, as it came in.
         simulated: a simulation's time now [s], by which its controller goes; None without one.
         simulated_start_s: that time at sending.
     """
 
     plan_id: int
-    result: Any
+    result: PlanResult
     trajectory: Trajectory
     started_s: float
     snapshot: Snapshot
     T_base_tool: Array | None = None
     retreat: bool = False
     replans_left: int = 0
-    context: Mapping[str, Any] = field(default_factory=dict)
+    target: Target | None = None
     simulated: Callable[[], float | None] = lambda: None
     simulated_start_s: float | None = None
 

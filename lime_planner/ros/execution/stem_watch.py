@@ -8,13 +8,14 @@ from __future__ import annotations
 import time
 import traceback
 from collections.abc import Callable
-from typing import Any
 
 from lime_planner.core.refusal import Refusal
 from lime_planner.core.status import Status
-from lime_planner.ros.attendant import Attendant
 from lime_planner.ros.execution.execution import Execution
 from lime_planner.ros.execution.motion import Motion
+from lime_planner.ros.inputs.scene_source import SceneSource
+from lime_planner.ros.model_loader import ModelLoader
+from lime_planner.ros.runtime import BackgroundThread
 
 #: Pause after each look [s]: clouds come faster than they need be looked at, and callbacks want the interpreter too.
 _PAUSE_S = 0.05
@@ -26,7 +27,7 @@ _SETTLE_S = 0.15
 Look = Callable[[Motion, Callable[[], bool]], str | None]
 
 
-class StemWatch(Attendant):
+class StemWatch(BackgroundThread):
     """The thread."""
 
     def __init__(self, execution: Execution, look: Look, warn: Callable[[str], None]) -> None:
@@ -79,23 +80,21 @@ class StemWatch(Attendant):
             self._execution.stop(Status.STEM_APPEARED, sentence)
 
 
-def make_look(source: Callable[[], Any], engine: Callable[[], Any], reached_s: Callable[[Motion], float]) -> Look:
+def make_look(source: SceneSource, loader: ModelLoader, execution: Execution) -> Look:
     """Make the usual look: newest scene, pipeline's check of the remaining trajectory.
 
     Args:
-        source: the scene source in use.
-        engine: the loaded model in use, or None.
-        reached_s: how far on its plan the arm is [s].
+        source: of scenes.
+        loader: of the model in use.
+        execution: tells how far on its plan the arm is.
     """
 
     def look(motion: Motion, should_stop: Callable[[], bool]) -> str | None:
-        loaded = engine()
+        loaded = loader.loaded
         if loaded is None:
             return None
-        scene = source().stems(motion.snapshot, should_stop, _SETTLE_S)
-        sentence: str | None = loaded.pipeline.obstruction(
-            motion.result, scene, motion.snapshot.plan, from_time_s=reached_s(motion), should_stop=should_stop
-        )
-        return sentence
+        scene = source.stems(motion.snapshot, should_stop, _SETTLE_S)
+        reached_s = execution.reached_s(motion)
+        return loaded.pipeline.obstruction(motion.result, scene, motion.snapshot.plan, from_time_s=reached_s, should_stop=should_stop)
 
     return look

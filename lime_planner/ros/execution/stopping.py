@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import time
-from typing import Any
 
 import numpy as np
 
@@ -12,6 +11,7 @@ from lime_planner.core.types import Array
 from lime_planner.motion.contract import stop_violations
 from lime_planner.motion.stop import braking, braking_reach, one_point_stop
 from lime_planner.motion.trajectory import Trajectory
+from lime_planner.robot.model import Robot
 from lime_planner.ros.execution.motion import Motion
 from lime_planner.ros.inputs.joint_states import ArmState
 
@@ -21,7 +21,7 @@ _RETURN_SHARE = 0.5
 _LONGEST_LEAD_S = 0.1
 
 
-def make_stop(robot: Any, motion: Motion | None, state: ArmState | None, on_path: bool) -> Trajectory | None:
+def make_stop(robot: Robot | None, motion: Motion | None, state: ArmState | None, on_path: bool) -> Trajectory | None:
     """Return what stops a motion.
 
     A joint trajectory controller is slowed down along the planned path: a hold at a state measured a moment ago would whip the arm
@@ -29,7 +29,7 @@ def make_stop(robot: Any, motion: Motion | None, state: ArmState | None, on_path
     simulation that does not keep up, would whip the arm ahead. Where the arm has left the path, a hold is the better of the two.
 
     Args:
-        robot: the model in use.
+        robot: the model in use; None while there is none.
         motion: what runs, None for a motion that is not ours.
         state: what was measured last, None when there is nothing.
         on_path: whether the arm is where the plan has it, as far as is known.
@@ -37,7 +37,7 @@ def make_stop(robot: Any, motion: Motion | None, state: ArmState | None, on_path
     if motion is None:
         return None if state is None or robot is None else one_point_stop(robot.joint_names, state.q)
     stop = _stop_of(robot, motion, state, on_path)
-    if state is None:
+    if state is None or robot is None:
         return stop
     fitting_s, off = motion.fit(state)
     lead_s = stop.first_time_s + state.age_s(time.monotonic())
@@ -47,9 +47,9 @@ def make_stop(robot: Any, motion: Motion | None, state: ArmState | None, on_path
     return stop
 
 
-def _stop_of(robot: Any, motion: Motion, state: ArmState | None, on_path: bool) -> Trajectory:
+def _stop_of(robot: Robot | None, motion: Motion, state: ArmState | None, on_path: bool) -> Trajectory:
     trajectory, elapsed_s = motion.trajectory, motion.elapsed_s()
-    if motion.snapshot.node.controller != "jtc" or not on_path:
+    if robot is None or motion.snapshot.node.controller != "jtc" or not on_path:
         return one_point_stop(trajectory.joint_names, trajectory.sample(elapsed_s) if state is None else state.q)
     if state is None:
         return braking(trajectory, max(elapsed_s, 0.0), robot.acceleration_limits)

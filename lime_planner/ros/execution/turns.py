@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from lime_planner.core.geometry import whole_turns
 from lime_planner.core.types import Array, Bool
+from lime_planner.pipeline.result import PlanResult
 from lime_planner.ros.execution.retreat import nearest_on_path
 
 
@@ -28,8 +28,10 @@ def nearest_turns(waypoints: npt.ArrayLike, q: npt.ArrayLike, continuous: npt.Ar
     return np.asarray(path + turns[int(np.argmin(distances))], dtype=np.float64)
 
 
-def on_turns_of(result: Any, q: Array, continuous: Bool) -> Any:
+def on_turns_of(result: PlanResult, q: Array, continuous: Bool) -> PlanResult:
     """Return a plan shifted by whole turns next to where the arm is, (n,) [rad]: its driver may report other turns by now."""
+    if result.trajectory is None:
+        return result
     turns = whole_turns(q - result.trajectory.positions[0], continuous)
     if not turns.any():
         return result

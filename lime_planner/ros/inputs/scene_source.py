@@ -51,6 +51,17 @@ class SceneSource:
         self._merged: tuple[list[Scene], Scene] | None = None
         self._lock = threading.Lock()  # the worker and the execution watch ask
 
+    def use_arm(self, planning_frame: str, arm_filter: ArmFilter) -> None:
+        """Make scenes for another arm from now on.
+
+        Args:
+            planning_frame: frame of the scenes.
+            arm_filter: removes the arm's own points.
+        """
+        with self._lock:
+            self._planning_frame, self._arm_filter = planning_frame, arm_filter
+            self._parts, self._merged = {}, None
+
     def newest_stem_number(self) -> int:
         """Return a number that changes whenever a cloud with stems arrives."""
         return sum(self._inputs.slots[name].received for name in ("stem_cloud", "labelled_cloud"))

@@ -1,6 +1,6 @@
 """The planner as a ROS 2 node: topics, services and timers, wired to the parts that do the work.
 
-Threads: the executor's (callbacks, all short), the worker's (one request at a time), the engine's (loading and compiling) and
+Threads: the executor's (callbacks, all short), the worker's (one request at a time), the model loader's (loading and compiling) and
 the stem watch's. Services are coroutines: they hand a request to the worker and wait for its answer without holding the executor.
 """
 
@@ -30,9 +30,11 @@ from lime_planner.collision.arm_filter_live import make_arm_filter
 from lime_planner.core.errors import LimePlannerError
 from lime_planner.core.refusal import Refusal
 from lime_planner.core.status import Status
+from lime_planner.robot.model import Robot
 from lime_planner.ros import qos
-from lime_planner.ros.convert import to_joint_trajectory, to_path
-from lime_planner.ros.display.marker_publisher import MarkerDesk
+from lime_planner.ros.convert import to_joint_trajectory
+from lime_planner.ros.display.displays import Displays
+from lime_planner.ros.display.marker_publisher import MarkerPublisher
 from lime_planner.ros.display.viewer_backend import Viewer, serve_page
 from lime_planner.ros.execution.execution import Execution
 from lime_planner.ros.execution.motion import Ended
@@ -41,16 +43,14 @@ from lime_planner.ros.execution.stopping import make_stop
 from lime_planner.ros.inputs.frames import make_frames
 from lime_planner.ros.inputs.latest import Inputs
 from lime_planner.ros.inputs.scene_source import SceneSource
-from lime_planner.ros.memory import give_back
-from lime_planner.ros.model_loader import FROM_TOPIC, Builder, Engine, Loaded, build
+from lime_planner.ros.model_loader import FROM_TOPIC, Builder, Loaded, ModelLoader, build
 from lime_planner.ros.parameters import NodeParameters, Snapshot
-from lime_planner.ros.requests.jobs import Requests, Shown
+from lime_planner.ros.requests.jobs import Requests
+from lime_planner.ros.requests.parts import NodeParts
 from lime_planner.ros.requests.services import Services
-from lime_planner.ros.requests.status import Phase, health_message
-from lime_planner.ros.requests.status_board import Board
-from lime_planner.ros.requests.worker import Answer, Ticket, Worker
-from lime_planner.ros.runtime import run_node
-from lime_planner.ros.throttle import Throttle
+from lime_planner.ros.requests.status_board import Phase, StatusBoard, health_message
+from lime_planner.ros.requests.worker import Answer, RequestContext, Ticket, Worker
+from lime_planner.ros.runtime import Throttle, give_back, run_node
 from lime_planner.scene.from_clouds import CLOUDS
 
 #: Python hands the interpreter from one thread to another this often [s]: callbacks wait less for the worker's Python.
@@ -82,9 +82,9 @@ class PlannerNode(Node):
         self.inputs = Inputs(self._ros_now_s, self._warn)
         self.frames = make_frames(self, settings.node.static_transforms)
         self.get_logger().info(f"frames from {self.frames.source}")
-        self.source = SceneSource(self.inputs, self.frames, "", lambda scene, _q, _padding: scene)
+        self.source = SceneSource(self.inputs, self.frames, "", lambda scene, _q, _padding: scene)  # of no arm yet
         self._open_outputs()
-        self.board = Board(self.get_name(), self._now, self._status.publish)
+        self.board = StatusBoard(self.get_name(), self._now, self._status.publish)
         self.execution = Execution(
             self.inputs.joints,
             to_joint_trajectory,
@@ -97,36 +97,39 @@ class PlannerNode(Node):
             self._simulated_s,
         )
         self.worker = Worker(self.get_logger().error, give_back)
-        self.engine = Engine(
+        self.loader = ModelLoader(
             builder,
             settings.plan,
             may_exchange=lambda: not self.execution.active,
             on_loaded=self._on_loaded,
             report=self._log,
         )
-        self.requests = Requests(
-            self.engine,
-            lambda: self.params.snapshot,
-            self.inputs,
-            self.frames,
-            lambda: self.source,
-            self.execution,
-            self.board,
-            self._show,
-            lambda: self.watch.notice(),
+        self.watch = StemWatch(self.execution, make_look(self.source, self.loader, self.execution), self._warn)
+        self.markers = MarkerPublisher(self._markers, self.loader, self.worker, self._now, self._warn)
+        display = Displays(self._tool_path, self.markers, self._now)
+        parts = NodeParts(
+            node=self,
+            parameters=self.params,
+            loader=self.loader,
+            inputs=self.inputs,
+            frames=self.frames,
+            source=self.source,
+            execution=self.execution,
+            watch=self.watch,
+            worker=self.worker,
+            board=self.board,
+            display=display,
         )
-        self.markers = MarkerDesk(self._markers, lambda: self.engine.loaded, lambda: self.worker.current is not None, self._now, self._warn)
+        self.requests = Requests(parts)
         self.params.on_change = self._on_parameters
-        self.watch = StemWatch(
-            self.execution, make_look(lambda: self.source, lambda: self.engine.loaded, self.execution.reached_s), self._warn
-        )
         self._open_inputs(settings.plan.robot)
-        self.desk = Services(self, self.worker, self.requests, self.execution, self.board, self._robot, self._log)
+        self.request_services = Services(parts, self.requests, self._log)
         steady = Clock(clock_type=ClockType.STEADY_TIME)  # the watch goes on where simulated time stands still
         self.create_timer(_WATCH_PERIOD_S, self._safely(self.execution.tick), clock=steady)
         self.create_timer(_OFFERS_PERIOD_S, self._safely(self._check_offers), clock=steady)
         self.create_timer(1.0, self._safely(self._publish_health), clock=steady)
-        self.viewer = serve_page(self)
+        self.viewer = serve_page(parts, self.requests, self.request_services)
+        display.page = None if self.viewer is None else self.viewer.backend
         motion = "enabled" if settings.node.motion_enabled else "disabled"
         self.get_logger().info(f"serving; motion is {motion}, robot {settings.plan.robot}")
 
@@ -139,8 +142,8 @@ class PlannerNode(Node):
             self._command.wait_for_all_acked(Duration(seconds=0.2))
         if self.viewer is not None:
             self.viewer.page.close()
-        ended = [self.worker.close(), self.watch.close(), self.markers.close(), self.engine.close(0.5)]
-        self.desk.drain(0.5)
+        ended = [self.worker.close(), self.watch.close(), self.markers.close(), self.loader.close(0.5)]
+        self.request_services.drain(0.5)
         self.threads_ended = all(ended)
 
     def _open_outputs(self) -> None:
@@ -160,7 +163,7 @@ class PlannerNode(Node):
         )
         self.create_subscription(JointState, "joint_states", self._safely(self._on_joint_state), qos.JOINT_STATES)
         if robot == FROM_TOPIC:
-            self.create_subscription(String, "robot_description", self._safely(lambda msg: self.engine.offer(msg.data)), qos.LATCHED)
+            self.create_subscription(String, "robot_description", self._safely(lambda msg: self.loader.offer(msg.data)), qos.LATCHED)
 
     def _on_end(self, ended: Ended) -> None:
         motion = ended.motion
@@ -177,10 +180,10 @@ class PlannerNode(Node):
                     raise Refusal(Status.CANCELLED, "the arm was stopped before the motion could be planned again")
                 return self.requests.plan(ticket)
 
-            self.worker.submit("replan", replan, self.desk.finish, {**motion.context, "replans_left": motion.replans_left - 1})
+            self.worker.submit("replan", replan, self.request_services.finish, RequestContext(motion.target, motion.replans_left - 1))
 
     def _on_parameters(self, snapshot: Snapshot) -> None:
-        if not snapshot.node.motion_enabled:  # whoever forbids motions means the one that runs too
+        if not snapshot.node.motion_enabled:  # that holds for the motion that runs, too
             self.execution.stop(Status.CANCELLED, "motion_enabled was set to false")
 
     def _on_loaded(self, loaded: Loaded) -> None:
@@ -188,7 +191,7 @@ class PlannerNode(Node):
         self.board.robot = robot.name
         self.inputs.set_joints(tuple(robot.joint_names), robot.held_joints, robot.continuous)
         self.execution.forget_last()
-        self.source = SceneSource(self.inputs, self.frames, robot.planning_frame, make_arm_filter(robot))
+        self.source.use_arm(robot.planning_frame, make_arm_filter(robot))
 
     def _on_cloud(self, name: str, msg: PointCloud2) -> None:
         self.inputs.on_cloud(name, msg)
@@ -204,13 +207,6 @@ class PlannerNode(Node):
         if state is not None:
             self.execution.on_state(state)
 
-    def _show(self, shown: Shown) -> None:
-        if self.viewer is not None:
-            self.viewer.backend.on_shown(shown)
-        stamp = self._now()
-        self._tool_path.publish(to_path(shown.result.tool_path, shown.scene.frame_id, stamp))
-        self.markers.show(shown)
-
     def _check_offers(self) -> None:
         for subscription in self._subscriptions_by_offer:
             subscription.check()
@@ -224,18 +220,18 @@ class PlannerNode(Node):
             "last_status": self.board.last_message,
             "phase": self.board.phase.name,
             "worker": f"{ticket.kind} {ticket.plan_id}" if ticket is not None else "idle",
-            "engine": self.engine.state,
+            "engine": self.loader.state,
             "motion": f"plan {motion.plan_id}" if motion is not None else "none",
             "motion_enabled": self.params.snapshot.node.motion_enabled,
             "controllers": self._command.get_subscription_count(),
         }
         trouble = "; ".join(
-            [*([] if self.engine.ready else [self.engine.state]), *self.inputs.trouble(self.params.snapshot.node.max_joint_state_age_s)]
+            [*([] if self.loader.ready else [self.loader.state]), *self.inputs.trouble(self.params.snapshot.node.max_joint_state_age_s)]
         )
         self._health.publish(health_message(self._now(), self.get_name(), self.board.robot, trouble, values))
 
-    def _robot(self) -> Any:
-        loaded = self.engine.loaded
+    def _robot(self) -> Robot | None:
+        loaded = self.loader.loaded
         return None if loaded is None else loaded.robot
 
     def _now(self) -> Time:

@@ -4,79 +4,62 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import itertools
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any
+from typing import TypeVar
 
 import numpy as np
 from geometry_msgs.msg import PoseStamped
 
 from lime_planner.core.errors import LimePlannerError
+from lime_planner.core.geometry import matrix_to_pose
 from lime_planner.core.refusal import Refusal
 from lime_planner.core.status import Status
 from lime_planner.core.types import Array
+from lime_planner.pipeline.plan_record import PlanRecord
+from lime_planner.pipeline.result import PlanResult
 from lime_planner.ros.convert import target_matrix
-from lime_planner.ros.execution.execution import Execution
 from lime_planner.ros.execution.retreat import way_back
 from lime_planner.ros.execution.turns import nearest_turns, on_turns_of
-from lime_planner.ros.inputs.frames import Frames
 from lime_planner.ros.inputs.joint_states import ArmState
-from lime_planner.ros.inputs.latest import Inputs, Target
-from lime_planner.ros.inputs.scene_source import SceneSource
-from lime_planner.ros.model_loader import Engine, Loaded
+from lime_planner.ros.inputs.latest import Target
+from lime_planner.ros.model_loader import Loaded
 from lime_planner.ros.parameters import Snapshot
-from lime_planner.ros.requests.deadline import Left, deadline
+from lime_planner.ros.requests.parts import NodeParts, PlannedRequest
 from lime_planner.ros.requests.request_text import target_values
-from lime_planner.ros.requests.status import Phase
-from lime_planner.ros.requests.status_board import Board
-from lime_planner.ros.requests.worker import Answer, Ticket
+from lime_planner.ros.requests.status_board import Phase
+from lime_planner.ros.requests.worker import Answer, Left, RequestContext, Ticket, deadline
 from lime_planner.scene.scene import Scene
+
+Outcome = TypeVar("Outcome")
 
 #: How often a plan is made at most: again when the arm had moved, or a stem was seen on the path, before it could be sent.
 _SENDING_ATTEMPTS = 2
 
 
-@dataclass(frozen=True)
-class Shown:
-    """A finished plan, for whoever draws it; `stem_number` tells which stem clouds it knows (`SceneSource.newest_stem_number`)."""
-
-    scene: Scene
-    T_base_tool: Array | None
-    target: Target | None
-    result: Any
-    snapshot: Snapshot
-    stem_number: int
-
-
-@dataclass
 class Requests:
     """The services' jobs. Every method takes the ticket and returns its answer; a `Refusal` it raises is an answer too.
 
     Attributes:
-        engine: robot model and pipeline.
-        snapshot: the parameters now.
-        inputs: what has arrived.
-        frames: where frames are.
-        source: scenes of the newest clouds, for the model in use.
-        execution: sends and stops motions.
-        board: the status.
-        show: publishes path and markers.
-        look: has the running motion checked against the newest stems.
+        previewed: the plan that `~/execute` would send, and the model that it was made with.
     """
 
-    engine: Engine
-    snapshot: Callable[[], Snapshot]
-    inputs: Inputs
-    frames: Frames
-    source: Callable[[], SceneSource]
-    execution: Execution
-    board: Board
-    show: Callable[[Shown], None]
-    look: Callable[[], None]
-    previewed: tuple[Loaded, Shown] | None = None
+    def __init__(self, parts: NodeParts) -> None:
+        """Serve with these parts."""
+        self._loader = parts.loader
+        self._parameters = parts.parameters
+        self._inputs = parts.inputs
+        self._frames = parts.frames
+        self._source = parts.source
+        self._execution = parts.execution
+        self._watch = parts.watch
+        self._board = parts.board
+        self._display = parts.display
+        self._numbers = itertools.count(1)
+        self.previewed: tuple[Loaded, PlannedRequest] | None = None
 
-    def aim(self, kind: str, goal: PoseStamped | None = None) -> dict[str, Any]:
+    def aim(self, kind: str, goal: PoseStamped | None = None) -> RequestContext:
         """Tell what a request will be about, as far as is known when it is made: it may be answered before its job begins.
 
         Args:
@@ -86,16 +69,16 @@ class Requests:
         Returns:
             The context of its ticket.
         """
-        target: Any = None
-        last, previewed = self.execution.last, self.previewed  # once: other threads take them away
+        target: Target | None = None
+        last, previewed = self._execution.last, self.previewed  # once: other threads take them away
         if kind == "retreat":
-            target = None if last is None else last.context.get("target")
+            target = None if last is None else last.target
         elif kind == "execute":
             target = None if previewed is None else previewed[1].target
         else:
             with contextlib.suppress(Refusal):  # the job will say what is wrong with it
-                target = self.inputs.peek_target() if goal is None else Target(target_matrix(goal), goal)
-        return {} if target is None else {"target": target}
+                target = self._inputs.peek_target() if goal is None else Target(target_matrix(goal), goal)
+        return RequestContext(target)
 
     def plan(self, ticket: Ticket) -> Answer:
         """Plan to the newest target from rest, and send."""
@@ -105,11 +88,11 @@ class Requests:
             self._come_to_rest(ticket, snapshot)
             with deadline(ticket, snapshot.node.deadline_s) as left_s:
                 for attempt in range(1, _SENDING_ATTEMPTS + 1):
-                    shown = self._planned(ticket, loaded, snapshot, self._target(ticket, snapshot), left_s)
-                    if shown.result.status is not Status.SUCCEEDED:
-                        return _answer_of(shown.result)
+                    planned = self._planned(ticket, loaded, snapshot, self._target(ticket, snapshot), left_s)
+                    if planned.record.result.status is not Status.SUCCEEDED:
+                        return _answer_of(planned.record.result)
                     try:
-                        return self._send(ticket, loaded, shown)
+                        return self._send(ticket, loaded, planned)
                     except Refusal as refusal:
                         if refusal.status not in (Status.ARM_MOVING, Status.STEM_APPEARED) or attempt == _SENDING_ATTEMPTS:
                             raise
@@ -134,140 +117,140 @@ class Requests:
         previewed = self.previewed
         if previewed is None:
             raise Refusal(Status.NOTHING_TO_EXECUTE, "there is no previewed plan; call ~/preview first")
-        if self.execution.active:
+        if self._execution.active:
             raise Refusal(Status.ARM_MOVING, "a motion is being executed; wait for its end or call ~/stop first")
         with self._ready(ticket, snapshot) as loaded:
-            model, shown = previewed
-            result = shown.result
-            if shown.target is not None:
-                self._note_target(ticket, shown.target)
+            model, planned = previewed
+            result = planned.record.result
+            if planned.target is not None:
+                self._note_target(ticket, planned.target)
             if model is not loaded:
                 raise Refusal(Status.NOTHING_TO_EXECUTE, "the robot model has changed since the preview")
-            self.board.note(ticket.plan_id, **_figures(result))
+            self._board.note(ticket.plan_id, **_figures(result))
             self._come_to_rest(ticket, snapshot)
             with deadline(ticket, snapshot.node.deadline_s):
                 arm = self._arm_at_start(snapshot)
-                shown = dataclasses.replace(shown, result=on_turns_of(result, arm.q, loaded.robot.continuous))
-                if shown.result is not result:
-                    result = shown.result
-                    self.board.note(ticket.plan_id, **_figures(result))
-                number = self.source().newest_stem_number()
-                scene = self.source().scene(snapshot, ticket.should_stop)
+                turned = on_turns_of(result, arm.q, loaded.robot.continuous)
+                if turned is not result:
+                    result = turned
+                    planned = dataclasses.replace(planned, record=dataclasses.replace(planned.record, result=result))
+                    self._board.note(ticket.plan_id, **_figures(result))
+                number = self._source.newest_stem_number()
+                scene = self._source.scene(snapshot, ticket.should_stop)
                 status, sentence = loaded.pipeline.recheck(result, scene, arm.q, snapshot.plan, should_stop=ticket.should_stop)
                 if status is not Status.SUCCEEDED:
                     return Answer(status, _bare(status, sentence))
-                return self._send(ticket, loaded, dataclasses.replace(shown, scene=scene, snapshot=snapshot, stem_number=number))
+                return self._send(ticket, loaded, dataclasses.replace(planned, snapshot=snapshot, stem_number=number))
 
     def retreat(self, ticket: Ticket) -> Answer:
         """Go back along the motion executed last, as far as the arm got."""
         snapshot = self._begin(ticket)
         nothing = Refusal(Status.NOTHING_TO_EXECUTE, "no motion has been executed that could be gone back along")
-        if self.execution.last is None:
+        if self._execution.last is None:
             raise nothing
         with self._ready(ticket, snapshot) as loaded:
             self._come_to_rest(ticket, snapshot)
-            last = self.execution.last
+            last = self._execution.last
             if last is None:  # another arm was taken in meanwhile
                 raise nothing
-            target = last.context.get("target")
-            if isinstance(target, Target):
-                self._note_target(ticket, target)
+            if last.target is not None:
+                self._note_target(ticket, last.target)
             with deadline(ticket, snapshot.node.deadline_s):
                 arm = self._arm_at_start(snapshot)
                 path = nearest_turns(last.result.waypoints, arm.q, loaded.robot.continuous)
                 waypoints = way_back(path, arm.q, forward=last.retreat)
-                number = self.source().newest_stem_number()
-                scene = self.source().scene(snapshot, ticket.should_stop)
+                number = self._source.newest_stem_number()
+                scene = self._source.scene(snapshot, ticket.should_stop)
                 self._show_phase(ticket, Phase.PLANNING)
                 T_base_tool, should_stop = last.T_base_tool, ticket.should_stop
                 result = self._guarded(
                     lambda: loaded.pipeline.follow(waypoints, scene, T_base_tool, snapshot.plan, should_stop=should_stop)
                 )
-                shown = Shown(scene, T_base_tool, None, result, snapshot, number)
-                self._present(ticket, shown)
+                planned = self._record(scene, T_base_tool, None, result, snapshot, number)
+                self._present(ticket, planned)
                 if result.status is not Status.SUCCEEDED:
                     return _answer_of(result)
-                return self._send(ticket, loaded, shown, retreat=True)
+                return self._send(ticket, loaded, planned, retreat=True)
 
     def _begin(self, ticket: Ticket) -> Snapshot:
-        self.board.show(ticket.plan_id, Phase.PLANNING, kind=ticket.kind)
+        self._board.show(ticket.plan_id, Phase.PLANNING, kind=ticket.kind)
         if ticket.kind != "execute":
             self.previewed = None  # what ~/execute sends is what was asked for last, or nothing
-        return self.snapshot()
+        return self._parameters.snapshot
 
-    def _ready(self, ticket: Ticket, snapshot: Snapshot) -> Any:
+    def _ready(self, ticket: Ticket, snapshot: Snapshot) -> contextlib.AbstractContextManager[Loaded]:
         """Refuse at once what cannot succeed, then wait for the kernels; returns the context that holds the model."""
         timeout_s = snapshot.node.warm_up_timeout_s
-        self.engine.wait_loaded(timeout_s, ticket.should_stop)
-        if not self.engine.ready:
+        self._loader.wait_loaded(timeout_s, ticket.should_stop)
+        if not self._loader.ready:
             self._arm(snapshot)
-            self.source().scene(snapshot, ticket.should_stop)
-        return self.engine.use(timeout_s, ticket.should_stop)
+            self._source.scene(snapshot, ticket.should_stop)
+        return self._loader.use(timeout_s, ticket.should_stop)
 
     def _preview(self, ticket: Ticket, snapshot: Snapshot, target: Callable[[], Target]) -> Answer:
         target()
         with self._ready(ticket, snapshot) as loaded:
             with deadline(ticket, snapshot.node.deadline_s) as left_s:
-                shown = self._planned(ticket, loaded, snapshot, target(), left_s)
+                planned = self._planned(ticket, loaded, snapshot, target(), left_s)
             # Only a plan whose caller hears that it was made may be carried out later.
-            if shown.result.status is Status.SUCCEEDED and ticket.commit():
-                self.previewed = (loaded, shown)
-            return _answer_of(shown.result)
+            if planned.record.result.status is Status.SUCCEEDED and ticket.commit():
+                self.previewed = (loaded, planned)
+            return _answer_of(planned.record.result)
 
     def _target(self, ticket: Ticket, snapshot: Snapshot) -> Target:
-        target = self.inputs.target(snapshot.node.max_target_age_s, snapshot.node.max_clock_skew_s)
+        target = self._inputs.target(snapshot.node.max_target_age_s, snapshot.node.max_clock_skew_s)
         self._note_target(ticket, target)
         return target
 
     def _note_target(self, ticket: Ticket, target: Target) -> None:
-        ticket.context["target"] = target
-        self.board.note(ticket.plan_id, **target_values(ticket.context))
+        ticket.context = dataclasses.replace(ticket.context, target=target)
+        self._board.note(ticket.plan_id, **target_values(target))
 
     def _arm(self, snapshot: Snapshot) -> ArmState:
-        return self.inputs.joints.fresh(snapshot.node.max_joint_state_age_s, snapshot.node.max_clock_skew_s)
+        return self._inputs.joints.fresh(snapshot.node.max_joint_state_age_s, snapshot.node.max_clock_skew_s)
 
     def _arm_at_start(self, snapshot: Snapshot) -> ArmState:
         """Return the state that a plan begins at, on the turns that the driver reports now."""
-        if not self.execution.active:
-            self.inputs.joints.take_reported_turns()
+        if not self._execution.active:
+            self._inputs.joints.take_reported_turns()
         return self._arm(snapshot)
 
     def _come_to_rest(self, ticket: Ticket, snapshot: Snapshot) -> None:
         """Stop what runs and wait until the arm is seen to rest."""
         node = snapshot.node
         self._arm(snapshot)
-        if self.execution.active:
-            self.source().scene(snapshot, ticket.should_stop)  # a request that cannot be served does not stop a good motion
+        if self._execution.active:
+            self._source.scene(snapshot, ticket.should_stop)  # a request that cannot be served does not stop a good motion
             if ticket.answered:  # nor does one that nobody waits for any more
                 raise Refusal(Status.CANCELLED, "the request was answered before it began")
-            self.execution.stop(Status.PREEMPTED, f"request {ticket.plan_id} ({ticket.kind}) took over")
-        elif self.inputs.joints.still(node.stillness_time_s, node.stillness_rad):
+            self._execution.stop(Status.PREEMPTED, f"request {ticket.plan_id} ({ticket.kind}) took over")
+        elif self._inputs.joints.still(node.stillness_time_s, node.stillness_rad):
             return
         self._show_phase(ticket, Phase.STOPPING)
         deadline = time.monotonic() + node.stillness_timeout_s + node.stillness_time_s
-        while self.execution.active and time.monotonic() < deadline and not ticket.answered:
+        while self._execution.active and time.monotonic() < deadline and not ticket.answered:
             time.sleep(0.005)
         remaining = max(deadline - time.monotonic(), 0.0)
-        if not self.inputs.joints.wait_still(node.stillness_time_s, node.stillness_rad, remaining, ticket.should_stop):
+        if not self._inputs.joints.wait_still(node.stillness_time_s, node.stillness_rad, remaining, ticket.should_stop):
             self._arm(snapshot)  # silence has its own code
             raise Refusal(Status.ARM_MOVING, f"the arm did not come to rest within {node.stillness_timeout_s:g} s")
         self._show_phase(ticket, Phase.PLANNING)
 
     def _show_phase(self, ticket: Ticket, phase: Phase) -> None:
         if not ticket.answered:  # its last phase has been shown
-            self.board.show(ticket.plan_id, phase)
+            self._board.show(ticket.plan_id, phase)
 
-    def _planned(self, ticket: Ticket, loaded: Loaded, snapshot: Snapshot, target: Target, left_s: Left) -> Shown:
+    def _planned(self, ticket: Ticket, loaded: Loaded, snapshot: Snapshot, target: Target, left_s: Left) -> PlannedRequest:
         began_s = time.monotonic()
         header = target.msg.header
         arm = self._arm_at_start(snapshot)
         frame = header.frame_id.strip().lstrip("/")
         T_base_tool = target.T_frame_tool
         if frame != loaded.robot.planning_frame:
-            T = self.frames.lookup(loaded.robot.planning_frame, frame, header.stamp, snapshot.node.tf_timeout_s, ticket.should_stop)
+            T = self._frames.lookup(loaded.robot.planning_frame, frame, header.stamp, snapshot.node.tf_timeout_s, ticket.should_stop)
             T_base_tool = T @ T_base_tool
-        number = self.source().newest_stem_number()
-        scene = self.source().scene(snapshot, ticket.should_stop)
+        number = self._source.newest_stem_number()
+        scene = self._source.scene(snapshot, ticket.should_stop)
         decode_s = time.monotonic() - began_s
         seed = snapshot.plan.seed or int(np.random.default_rng().integers(1, 2**31 - 1))
         result = self._guarded(
@@ -275,61 +258,71 @@ class Requests:
                 scene, T_base_tool, arm.q, snapshot.plan, should_stop=ticket.should_stop, deadline_s=left_s(), seed=seed
             )
         )
-        shown = Shown(scene, T_base_tool, target, result, snapshot, number)
-        self._present(ticket, shown, inputs_s=decode_s, request_s=time.monotonic() - began_s)
-        return shown
+        planned = self._record(scene, T_base_tool, target, result, snapshot, number)
+        self._present(ticket, planned, inputs_s=decode_s, request_s=time.monotonic() - began_s)
+        return planned
 
-    def _guarded(self, call: Callable[[], Any]) -> Any:
+    def _record(
+        self, scene: Scene, T_base_tool: Array | None, target: Target | None, result: PlanResult, snapshot: Snapshot, stem_number: int
+    ) -> PlannedRequest:
+        pose = None if T_base_tool is None else matrix_to_pose(T_base_tool)
+        record = PlanRecord(next(self._numbers), scene, snapshot.plan, pose, result)
+        return PlannedRequest(record, target, snapshot, stem_number)
+
+    def _guarded(self, call: Callable[[], Outcome]) -> Outcome:
         """Turn the pipeline's exceptions about its arguments into an answer: they came in as messages."""
         try:
             return call()
         except LimePlannerError as error:
             raise Refusal(Status.BAD_INPUT, str(error)) from None
 
-    def _present(self, ticket: Ticket, shown: Shown, **figures: float) -> None:
+    def _present(self, ticket: Ticket, planned: PlannedRequest, **figures: float) -> None:
         if not ticket.answered:
-            self.board.note(ticket.plan_id, **_figures(shown.result), **figures)
-            self.show(shown)
+            self._board.note(ticket.plan_id, **_figures(planned.record.result), **figures)
+            self._display.show(planned)
 
-    def _look_again(self, ticket: Ticket, loaded: Loaded, shown: Shown) -> int:
+    def _look_again(self, ticket: Ticket, loaded: Loaded, planned: PlannedRequest) -> int:
         """Check what may have changed while the plan was made: the target, the clouds' ages, and stems that were not there before.
 
         Returns:
             Which stem clouds the motion was checked against.
         """
-        result, snapshot = shown.result, shown.snapshot
+        result, snapshot = planned.record.result, planned.snapshot
         # Who looks at a preview takes his time: it is as old then as it may be.
         max_age_s = 0.0 if ticket.kind == "execute" else snapshot.node.max_target_age_s
-        self.inputs.check_target(shown.target, max_age_s, snapshot.node.max_clock_skew_s)
-        number = self.source().newest_stem_number()
-        stems = self.source().changed_stems(shown.stem_number, snapshot, ticket.should_stop)
+        self._inputs.check_target(planned.target, max_age_s, snapshot.node.max_clock_skew_s)
+        number = self._source.newest_stem_number()
+        stems = self._source.changed_stems(planned.stem_number, snapshot, ticket.should_stop)
         if stems is not None:
             sentence = self._guarded(lambda: loaded.pipeline.obstruction(result, stems, snapshot.plan, should_stop=ticket.should_stop))
             if sentence is not None:
                 raise Refusal(Status.STEM_APPEARED, f"in a stem cloud that came while planning, {sentence}; nothing was sent")
         return number
 
-    def _send(self, ticket: Ticket, loaded: Loaded, shown: Shown, *, retreat: bool = False) -> Answer:
-        result, snapshot = shown.result, shown.snapshot
-        enabled = snapshot.node.motion_enabled and self.snapshot().node.motion_enabled  # else `send` refuses
-        number = self._look_again(ticket, loaded, shown) if enabled else 0
-        left = ticket.context.get("replans_left", snapshot.node.replan_attempts) if ticket.kind in ("plan", "replan") else 0
-        motion = self.execution.send(
+    def _send(self, ticket: Ticket, loaded: Loaded, planned: PlannedRequest, *, retreat: bool = False) -> Answer:
+        result, snapshot = planned.record.result, planned.snapshot
+        enabled = snapshot.node.motion_enabled and self._parameters.snapshot.node.motion_enabled  # else `send` refuses
+        number = self._look_again(ticket, loaded, planned) if enabled else 0
+        left = ticket.context.replans_left
+        if left is None:
+            left = snapshot.node.replan_attempts if ticket.kind == "plan" else 0
+        assert result.trajectory is not None  # every plan that succeeded has one
+        motion = self._execution.send(
             ticket.plan_id,
             result,
             result.trajectory,
             snapshot,
             ticket.commit,
-            T_base_tool=shown.T_base_tool,
+            T_base_tool=planned.record.result.T_base_tool,
             retreat=retreat,
             replans_left=left,
-            context=ticket.context,
+            target=ticket.context.target,
         )
         if motion is None:
             return Answer(Status.CANCELLED, "answered before it could be sent")  # never heard: the ticket has its answer
         self.previewed = None
-        if self.source().newest_stem_number() != number:
-            self.look()
+        if self._source.newest_stem_number() != number:
+            self._watch.notice()
         return _answer_of(result)
 
 
@@ -338,11 +331,11 @@ def _bare(status: Status, message: str) -> str:
     return message.removeprefix(f"{status.name}: ")
 
 
-def _answer_of(result: Any) -> Answer:
+def _answer_of(result: PlanResult) -> Answer:
     return Answer(result.status, _bare(result.status, result.message), result.tool_path)
 
 
-def _figures(result: Any) -> dict[str, Any]:
+def _figures(result: PlanResult) -> dict[str, object]:
     """Return the figures of `--json`, without those that the status carries itself."""
     figures = dict(result.figures())
     for name in ("status", "message"):

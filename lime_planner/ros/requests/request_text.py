@@ -2,29 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
-
 from lime_planner.ros.convert import stamp_text
 from lime_planner.ros.inputs.latest import Target
 from lime_planner.ros.requests.worker import Answer, Ticket
 
 
-def about(plan_id: int, context: Mapping[str, Any]) -> str:
-    """Return `[plan_id ..., target ...]`: which request a sentence is about, and which lime."""
+def about(plan_id: int, target: Target | None) -> str:
+    """Return `[plan_id ..., target ...]`: which request a sentence is about, and which fruit."""
     words = f"plan_id {plan_id}"
-    target = context.get("target")
-    if isinstance(target, Target):
+    if target is not None:
         x, y, z = (float(v) for v in target.T_frame_tool[:3, 3])
         header = target.msg.header
         words += f", target {x:.4f} {y:.4f} {z:.4f} in {header.frame_id} stamped {stamp_text(header.stamp)}"
     return f"[{words}]"
 
 
-def target_values(context: Mapping[str, Any]) -> dict[str, Any]:
+def target_values(target: Target | None) -> dict[str, object]:
     """Return what the status says about a request's target; nothing where none is known."""
-    target = context.get("target")
-    if not isinstance(target, Target):
+    if target is None:
         return {}
     header = target.msg.header
     return {
@@ -35,8 +30,8 @@ def target_values(context: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def answer_message(ticket: Ticket, answer: Answer) -> str:
-    """Return `CODE: sentence [plan_id ..., target ...]`: which request this answers, and which lime it was about."""
-    return f"{answer.message} {about(ticket.plan_id, ticket.context)}"
+    """Return `CODE: sentence [plan_id ..., target ...]`: which request this answers, and which fruit it was about."""
+    return f"{answer.message} {about(ticket.plan_id, ticket.context.target)}"
 
 
 def log_line(ticket: Ticket, answer: Answer) -> str:

@@ -4,26 +4,23 @@ from __future__ import annotations
 
 import time
 import traceback
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from functools import partial
-from typing import Any
 
+import numpy as np
 from nav_msgs.srv import GetPlan
 from rclpy.callback_groups import ReentrantCallbackGroup
-from rclpy.node import Node
 from rclpy.task import Future
 from std_srvs.srv import Trigger
 
 from lime_planner.core.status import Status
 from lime_planner.ros import qos
 from lime_planner.ros.convert import to_path
-from lime_planner.ros.execution.execution import Execution
-from lime_planner.ros.parameters import Snapshot
 from lime_planner.ros.requests.jobs import Requests
+from lime_planner.ros.requests.parts import NodeParts
 from lime_planner.ros.requests.request_text import about, answer_message, log_line, target_values
-from lime_planner.ros.requests.status import Phase
-from lime_planner.ros.requests.status_board import Board
-from lime_planner.ros.requests.worker import Answer, Ticket, Worker
+from lime_planner.ros.requests.status_board import Phase
+from lime_planner.ros.requests.worker import Answer, RequestContext, Ticket
 
 #: From a coroutine's end to its response on the wire [s], generously.
 _LEAVING_S = 0.03
@@ -32,33 +29,21 @@ _LEAVING_S = 0.03
 class Services:
     """`~/plan`, `~/preview`, `~/preview_to`, `~/execute`, `~/retreat` and `~/stop`."""
 
-    def __init__(
-        self,
-        node: Node,
-        worker: Worker,
-        requests: Requests,
-        execution: Execution,
-        board: Board,
-        robot: Callable[[], Any],
-        log: Callable[[bool, str], None],
-    ) -> None:
+    def __init__(self, parts: NodeParts, requests: Requests, log: Callable[[bool, str], None]) -> None:
         """Open the services.
 
         Args:
-            node: serves them.
-            worker: does the work.
+            parts: of the node that serves them.
             requests: what each request does.
-            execution: the running motion.
-            board: the status.
-            robot: the model in use, or None.
             log: log: (whether it is an error, sentence).
         """
-        self._node = node
-        self._worker = worker
+        node = self._node = parts.node
+        self._parameters = parts.parameters
+        self._loader = parts.loader
+        self._worker = parts.worker
+        self._execution = parts.execution
+        self._board = parts.board
         self._requests = requests
-        self._execution = execution
-        self._board = board
-        self._robot = robot
         self._log = log
         self._waiting = 0
         # Reentrant: an unanswered request must not hold back the next one.
@@ -74,28 +59,30 @@ class Services:
             motion = self._execution.motion
             own = motion is not None and motion.plan_id == ticket.plan_id
             phase, message = Phase.EXECUTING if own else Phase.DONE, answer_message(ticket, answer)
-            self._board.show(ticket.plan_id, phase, answer.status, message, **target_values(ticket.context))
+            self._board.show(ticket.plan_id, phase, answer.status, message, **target_values(ticket.context.target))
             if motion is not None and not own:
                 self._board.show(motion.plan_id, Phase.EXECUTING)  # the newest status tells what the arm does
             self._log(answer.status is Status.INTERNAL_ERROR, log_line(ticket, answer))
         except Exception:  # the answer itself must get through
             self._log(True, traceback.format_exc())
 
-    async def _trigger(self, kind: str, job: Callable[[Ticket], Answer], _request: Any, response: Any) -> Any:
+    async def _trigger(
+        self, kind: str, job: Callable[[Ticket], Answer], _request: Trigger.Request, response: Trigger.Response
+    ) -> Trigger.Response:
         ticket, answer = await self._ask(kind, job, self._requests.aim(kind))
         response.success = bool(answer.status is Status.SUCCEEDED)
         response.message = answer_message(ticket, answer)
         return response
 
-    async def _preview_to(self, request: Any, response: Any) -> Any:
+    async def _preview_to(self, request: GetPlan.Request, response: GetPlan.Response) -> GetPlan.Response:
         job = partial(self._requests.preview_to, goal=request.goal)
         _, answer = await self._ask("preview_to", job, self._requests.aim("preview_to", request.goal))
-        poses = answer.payload if answer.status is Status.SUCCEEDED else []
-        robot = self._robot()
-        response.plan = to_path(poses, robot.planning_frame if robot is not None else "", self._node.get_clock().now().to_msg())
+        poses = answer.tool_path if answer.status is Status.SUCCEEDED and answer.tool_path is not None else np.empty((0, 7))
+        loaded = self._loader.loaded
+        response.plan = to_path(poses, loaded.robot.planning_frame if loaded is not None else "", self._node.get_clock().now().to_msg())
         return response
 
-    async def _ask(self, kind: str, job: Callable[[Ticket], Answer], context: Mapping[str, Any]) -> tuple[Ticket, Answer]:
+    async def _ask(self, kind: str, job: Callable[[Ticket], Answer], context: RequestContext) -> tuple[Ticket, Answer]:
         future = Future()
 
         def on_answer(ticket: Ticket, answer: Answer) -> None:
@@ -120,7 +107,7 @@ class Services:
             time.sleep(0.005)
         time.sleep(_LEAVING_S)
 
-    def _stop(self, _request: Any, response: Any) -> Any:
+    def _stop(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         """Stop and cancel; the hold is sent from here, in the executor's thread, whatever the worker is doing."""
         try:
             response.success, response.message = True, Status.SUCCEEDED.message(self.stop_everything())
@@ -131,9 +118,8 @@ class Services:
 
     def stop_everything(self) -> str:
         """Stop a motion and cancel every request; from any thread. What was stopped, in words."""
-        snapshot: Snapshot = self._requests.snapshot()
         moving = self._execution.stop(Status.CANCELLED, "stopped by ~/stop")
-        foreign = "" if moving else self._execution.hold_foreign_motion(snapshot)
+        foreign = "" if moving else self._execution.hold_foreign_motion(self._parameters.snapshot)
         cancelled = self._worker.cancel("stopped by ~/stop")
         # A request that had committed before it could be cancelled has sent its motion by now, or holds the lock to do so.
         moving = self._execution.stop(Status.CANCELLED, "stopped by ~/stop") or moving
@@ -146,5 +132,5 @@ class Services:
         """Name the motion that is being stopped, else the newest request."""
         motion, ticket = self._execution.ending, self._worker.newest
         if motion is not None:
-            return about(motion.plan_id, motion.context)
-        return about(0, {}) if ticket is None else about(ticket.plan_id, ticket.context)
+            return about(motion.plan_id, motion.target)
+        return about(0, None) if ticket is None else about(ticket.plan_id, ticket.context.target)

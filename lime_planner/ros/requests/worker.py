@@ -2,33 +2,56 @@
 
 A request is a `Ticket`. It is answered by the job itself, or earlier by whoever takes its place (PREEMPTED) or stops it
 (CANCELLED): at once, without waiting until the job notices. What a job still does after that is lost, and it cannot move the arm,
-because it must `commit` first, and a ticket that is answered does not commit.
+because it must `commit` first, and a ticket that is answered does not commit. A deadline answers from outside too: a job may be where
+it cannot look at the clock, in a cloud of millions of points, say.
 """
 
 from __future__ import annotations
 
+import contextlib
 import threading
+import time
 import traceback
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from typing import Any
 
 from lime_planner.core.refusal import Refusal
 from lime_planner.core.status import Status
+from lime_planner.core.types import Array
+from lime_planner.ros.inputs.latest import Target
+
+#: How long after its deadline a request is given up for a job that has not noticed by itself [s].
+_GRACE_S = 0.02
+
+#: Time left until the deadline [s]; None without one.
+Left = Callable[[], float | None]
 
 
 @dataclass(frozen=True)
 class Answer:
-    """What a request ended with: a code, one sentence, and for previews the tool path or whatever else the caller wants."""
+    """What a request ended with: a code, one sentence, and the plan's tool path, (K, 7) x y z qx qy qz qw, where there is one."""
 
     status: Status
     sentence: str
-    payload: Any = None
+    tool_path: Array | None = None
 
     @property
     def message(self) -> str:
         """`CODE: sentence`."""
         return self.status.message(self.sentence)
+
+
+@dataclass(frozen=True)
+class RequestContext:
+    """What is known about a request besides its kind.
+
+    Attributes:
+        target: what it is about, as far as that is known yet.
+        replans_left: how often its motion may be planned again if it is aborted; None for as often as the parameters say.
+    """
+
+    target: Target | None = None
+    replans_left: int | None = None
 
 
 @dataclass
@@ -39,13 +62,13 @@ class Ticket:
         plan_id: its number, counted from 1.
         kind: `plan`, `preview`, `execute`, ...
         on_answer: called once, with the ticket and its answer, from whichever thread answers.
-        context: what the job found out so far and the answer's reader wants to know (the target, say).
+        context: what is known about it; the job replaces it as it finds out more.
     """
 
     plan_id: int
     kind: str
     on_answer: Callable[[Ticket, Answer], None]
-    context: dict[str, Any] = field(default_factory=dict)
+    context: RequestContext = RequestContext()
     _lock: threading.Lock = field(default_factory=threading.Lock)
     _answer: Answer | None = None
     _committed: bool = False
@@ -128,7 +151,7 @@ class Worker:
         kind: str,
         job: Callable[[Ticket], Answer],
         on_answer: Callable[[Ticket, Answer], None],
-        context: Mapping[str, Any] | None = None,
+        context: RequestContext | None = None,
     ) -> Ticket:
         """Hand in a request; it takes the place of every older one.
 
@@ -140,7 +163,7 @@ class Worker:
         """
         with self._submitting:
             self._count += 1
-            ticket = self._newest = Ticket(self._count, kind, on_answer, dict(context or {}))
+            ticket = self._newest = Ticket(self._count, kind, on_answer, context or RequestContext())
             preempted = Answer(Status.PREEMPTED, f"request {ticket.plan_id} ({kind}) took over")
             for other in self._older():
                 other.take_away(preempted)
@@ -207,3 +230,38 @@ class Worker:
         except Exception as error:  # whatever it is, the caller gets an answer and the next request is served
             self._on_defect(traceback.format_exc())
             return Answer(Status.INTERNAL_ERROR, f"{type(error).__name__}: {error}")
+
+
+@contextlib.contextmanager
+def deadline(ticket: Ticket, deadline_s: float) -> Iterator[Left]:
+    """Keep the deadline of one request from here to the end of the block.
+
+    Args:
+        ticket: of the request.
+        deadline_s: from now [s]; 0: none.
+    """
+    if deadline_s <= 0.0:
+        yield lambda: None
+        return
+    began_s = time.monotonic()
+    late = Answer(Status.TIMED_OUT, f"the deadline of {deadline_s:.2f} s passed before a motion was certified")
+    with answered_after(deadline_s + _GRACE_S, ticket, late):
+        yield lambda: max(began_s + deadline_s - time.monotonic(), 0.0)
+
+
+@contextlib.contextmanager
+def answered_after(seconds: float, ticket: Ticket, answer: Answer) -> Iterator[None]:
+    """Take a request away from a job that is still at work on it after a time, whatever it is doing.
+
+    Args:
+        seconds: from now; the block's end calls it off.
+        ticket: of the job.
+        answer: what the caller is told.
+    """
+    timer = threading.Timer(seconds, ticket.take_away, (answer,))
+    timer.daemon = True
+    timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()

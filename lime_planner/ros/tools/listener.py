@@ -21,8 +21,8 @@ from lime_planner.ros import qos
 from lime_planner.ros.inputs.frames import Frames, make_frames
 from lime_planner.ros.inputs.latest import Inputs
 from lime_planner.ros.parameters import Snapshot
-from lime_planner.ros.requests.status import read_status
-from lime_planner.ros.spinning import Spinning
+from lime_planner.ros.requests.status_board import read_status
+from lime_planner.ros.runtime import Spinning
 from lime_planner.scene.from_clouds import CLOUDS
 
 #: The inputs, under the names that the planner node has for them.

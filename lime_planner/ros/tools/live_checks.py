@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import importlib.util
 import os
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
@@ -16,7 +18,6 @@ from lime_planner.ros.inputs.clouds import decode_cloud
 from lime_planner.ros.inputs.latest import Sample
 from lime_planner.ros.parameters import Snapshot
 from lime_planner.ros.qos import is_best_effort, is_latched
-from lime_planner.ros.tools.domains import participants_by_domain
 from lime_planner.ros.tools.listener import Listener
 from lime_planner.scene.from_clouds import CLOUDS
 
@@ -25,6 +26,10 @@ _OLD_S = 10.0
 #: Publishers that have not been found after this long are taken for absent: Fast DDS announces itself anew every 3 s [s].
 _DISCOVERY_S = 3.5
 _HEALTH_S = 1.2  # the planner tells about its health once a second
+
+#: The UDP ports that are open on this machine, and how DDS participants choose theirs (RTPS 2.2, section 9.6.1).
+_TABLES = (Path("/proc/net/udp"), Path("/proc/net/udp6"))
+_BASE, _DOMAIN_GAIN, _FIRST, _PARTICIPANT_GAIN = 7400, 250, 10, 2
 
 _CURES = {
     Status.TF_ERROR: "publish the transform (tf2), or name the camera's place in static_transforms",
@@ -106,6 +111,24 @@ def _complete(there: Callable[[str], object]) -> bool:
 
 def _heard(listener: Listener, name: str) -> bool:
     return listener.joint_state is not None if name == "joint_states" else listener.inputs.slots[name].newest is not None
+
+
+def participants_by_domain() -> dict[int, int]:
+    """Return the number of participants of this machine in each domain; empty where the system does not tell."""
+    ports: set[int] = set()
+    for table in _TABLES:
+        try:
+            lines = table.read_text(encoding="ascii").splitlines()[1:]
+        except OSError:
+            continue
+        ports |= {int(line.split()[1].rpartition(":")[2], 16) for line in lines}
+    counts: Counter[int] = Counter()
+    for port in ports:
+        domain, offset = divmod(port - _BASE, _DOMAIN_GAIN)
+        # Each participant has two ports next to each other; the first one is even.
+        if domain >= 0 and offset >= _FIRST and (offset - _FIRST) % _PARTICIPANT_GAIN == 0 and port + 1 in ports:
+            counts[domain] += 1
+    return dict(sorted(counts.items()))
 
 
 def _domains(live: Live) -> list[Finding]:

@@ -8,6 +8,7 @@ import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -21,15 +22,16 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSCompatibility, QoSProf
 from ros_fakes import FakeRobot, build_fake, result
 
 from lime_planner.core.parameters import settings_from
+from lime_planner.pipeline.plan_record import PlanRecord
 from lime_planner.robot.convex_hulls import arm_hull
 from lime_planner.robot.model import home
-from lime_planner.ros.display.marker_publisher import MarkerDesk
+from lime_planner.ros.display.marker_publisher import MarkerPublisher
 from lime_planner.ros.display.markers import Extras, markers
 from lime_planner.ros.nodes import planner_node
 from lime_planner.ros.nodes.mock_arm_node import MockArmNode
 from lime_planner.ros.nodes.scene_node import SceneNode
 from lime_planner.ros.parameters import snapshot_from
-from lime_planner.ros.requests.jobs import Shown
+from lime_planner.ros.requests.parts import PlannedRequest
 from lime_planner.scene.scene import Scene
 
 pytestmark = pytest.mark.alone
@@ -150,7 +152,7 @@ def test_rviz_knows_every_kind_of_marker() -> None:
     extras = Extras(np.zeros((2, 3, 3)), np.zeros((4, 3)), np.zeros((3, 2, 3)))
     scene = Scene(np.ones((3, 3)), np.ones(3), np.ones((5, 3)), np.ones((2, 3)))
     settings = settings_from({"keep_out_boxes": [0.0, 0.0, 0.0, 1.0, 2.0, 3.0]})
-    array = markers(scene, np.eye(4), result(np.zeros(3), np.ones(3)), settings, Time(), extras)
+    array = markers(PlanRecord(1, scene, settings, np.eye(7)[6], result(np.zeros(3), np.ones(3))), Time(), extras)  # type: ignore[arg-type]
     by_name = {marker.ns: marker for marker in array.markers if marker.ns}
     [shown] = [display for display in rviz_displays() if display["Name"] == "Plan"]
     assert set(shown["Namespaces"]) == set(by_name)
@@ -173,30 +175,36 @@ class Watched:
         return self.subscribers
 
 
-def plan_of(count: int) -> Shown:
+NO_MODEL = SimpleNamespace(loaded=None)
+IDLE = SimpleNamespace(current=None)
+
+
+def plan_of(count: int) -> PlannedRequest:
     scene = Scene(np.ones((count, 3)), np.ones(count), np.ones((5, 3)), np.empty((0, 3)))
-    return Shown(scene, np.eye(4), None, result(np.zeros(3), np.ones(3)), snapshot_from({}), 1)
+    target = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
+    record = PlanRecord(1, scene, settings_from({}), target, result(np.zeros(3), np.ones(3)))  # type: ignore[arg-type]
+    return PlannedRequest(record, None, snapshot_from({}), 1)
 
 
 def test_markers_are_drawn_only_while_somebody_subscribes() -> None:
     publisher, warnings = Watched(), []
-    desk = MarkerDesk(publisher, lambda: None, lambda: False, Time, warnings.append)
+    drawer = MarkerPublisher(publisher, NO_MODEL, IDLE, Time, warnings.append)
     try:
-        desk.show(plan_of(3))
-        desk.check()
+        drawer.show(plan_of(3))
+        drawer.check()
         time.sleep(0.1)
         assert publisher.sent == []
         publisher.subscribers = 1  # who comes late gets the plan that is there
         deadline = time.monotonic() + 5.0
         while not publisher.sent and time.monotonic() < deadline:
-            desk.check()
+            drawer.check()
             time.sleep(0.01)
         assert publisher.sent == [{"", "leaves", "stems", "target", "excluded_sphere", "tool_path"}]
-        desk.check()
+        drawer.check()
         time.sleep(0.05)
         assert len(publisher.sent) == 1  # once
     finally:
-        assert desk.close()
+        assert drawer.close()
     assert warnings == []
 
 
@@ -209,12 +217,12 @@ def test_the_desk_closes_at_once_while_it_draws() -> None:
         go_on.wait(5.0)
 
     publisher.publish = publish  # type: ignore[method-assign]
-    desk = MarkerDesk(publisher, lambda: None, lambda: False, Time, lambda text: None)
-    desk.show(plan_of(3))
+    drawer = MarkerPublisher(publisher, NO_MODEL, IDLE, Time, lambda text: None)
+    drawer.show(plan_of(3))
     assert drawing.wait(5.0)
     threading.Timer(0.2, go_on.set).start()
     began_s = time.monotonic()
-    assert desk.close()
+    assert drawer.close()
     assert time.monotonic() - began_s < 1.0
 
 
@@ -228,28 +236,28 @@ def test_a_plan_that_comes_while_another_is_drawn_is_drawn_next() -> None:
         drawn.release()
 
     publisher.publish = publish  # type: ignore[method-assign]
-    desk = MarkerDesk(publisher, lambda: None, lambda: False, Time, lambda text: None)
-    desk.show(plan_of(3))
+    drawer = MarkerPublisher(publisher, NO_MODEL, IDLE, Time, lambda text: None)
+    drawer.show(plan_of(3))
     assert drawing.wait(5.0)
-    desk.show(plan_of(4))
+    drawer.show(plan_of(4))
     go_on.set()
     assert drawn.acquire(timeout=5.0) and drawn.acquire(timeout=5.0), "without another check"
-    assert desk.close()
+    assert drawer.close()
 
 
 def test_a_picture_that_fails_is_a_warning() -> None:
     publisher, warned = Watched(), threading.Event()
     publisher.subscribers = 1
     publisher.publish = lambda msg: 1 / 0  # type: ignore[method-assign]
-    desk = MarkerDesk(publisher, lambda: None, lambda: False, Time, lambda text: warned.set() if "ZeroDivisionError" in text else None)
+    drawer = MarkerPublisher(publisher, NO_MODEL, IDLE, Time, lambda text: warned.set() if "ZeroDivisionError" in text else None)
     try:
         deadline = time.monotonic() + 5.0
         while not warned.is_set() and time.monotonic() < deadline:
-            desk.show(plan_of(3))
+            drawer.show(plan_of(3))
             time.sleep(0.01)
         assert warned.is_set()
     finally:
-        assert desk.close()
+        assert drawer.close()
 
 
 def test_the_arm_as_a_hull_stands_where_the_arm_stands() -> None:

@@ -49,14 +49,14 @@ def test_a_failed_preview_leaves_nothing_to_execute(node: Rig) -> None:
 def test_a_preview_that_was_answered_otherwise_is_not_carried_out(node: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
     """A stop, a newer request or the deadline, in the moment between the plan and its answer."""
     node.good()
-    requests, worker = node.node.requests, node.node.worker
-    show = requests.show
+    markers, worker = node.node.markers, node.node.worker
+    show = markers.show
 
-    def stopped_then(shown: Any) -> None:
-        show(shown)
+    def stopped_then(planned: Any) -> None:
+        show(planned)
         assert worker.current.take_away(Answer(Status.CANCELLED, "in between"))
 
-    monkeypatch.setattr(requests, "show", stopped_then)
+    monkeypatch.setattr(markers, "show", stopped_then)
     assert node.bench.call("preview").message.startswith("CANCELLED: in between")
     monkeypatch.undo()
     assert node.bench.call("execute").message.startswith("NOTHING_TO_EXECUTE: ")
