@@ -1,16 +1,24 @@
-"""Every setting of the planner in one table: the node declares it, the command line sets it, the documentation is made from it."""
+"""Every setting of the planner, declared once: the node declares it, the command line sets it, the documentation is made from it.
+
+A setting is one field of `Settings` (the pipeline's) or of `NodeSettings` (the node's alone), made by `_row` with its default,
+sentence, unit and range. The tables `PARAMETERS` and `NODE_PARAMETERS` are read from the fields.
+"""
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import re
+import typing
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from numbers import Real
-from typing import Any
+from typing import Any, TypeVar
 
 from lime_planner.core.errors import ParameterError
 from lime_planner.core.planners import DEFAULT_PLANNER, PLANNERS
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -18,7 +26,7 @@ class Parameter:
     """One setting: what it means, what it may be.
 
     Attributes:
-        name: its name as a ROS parameter and as an attribute of `Settings`.
+        name: its name as a ROS parameter and as an attribute of `Settings` or `NodeSettings`.
         default: its default; its type is the setting's type (lists are lists of one type, `element` when the default is empty).
         description: one sentence.
         unit: SI unit, empty where there is none.
@@ -28,7 +36,7 @@ class Parameter:
         read_only: set at start only.
         element: type of a list's elements.
         length_multiple: a list's length must be a multiple of this.
-        planning: part of `Settings` (used by the pipeline); otherwise the node's alone.
+        shapes_obstacles: the obstacles of a plan are made of it, so that they are built again when it changes.
     """
 
     name: str
@@ -41,6 +49,7 @@ class Parameter:
     read_only: bool = False
     element: type = float
     length_multiple: int = 1
+    shapes_obstacles: bool = False
 
     @property
     def kind(self) -> type:
@@ -61,133 +70,131 @@ class Parameter:
         return "any"
 
 
+def _row(
+    default: T,
+    description: str,
+    unit: str = "",
+    minimum: float | None = None,
+    maximum: float | None = None,
+    *,
+    choices: tuple[str, ...] = (),
+    read_only: bool = False,
+    length_multiple: int = 1,
+    shapes_obstacles: bool = False,
+) -> T:
+    """A field of a class of settings; the arguments are the attributes of `Parameter`."""
+    known = {"description": description, "unit": unit, "minimum": minimum, "maximum": maximum, "choices": choices}
+    known |= {"read_only": read_only, "length_multiple": length_multiple, "shapes_obstacles": shapes_obstacles}
+    return dataclasses.field(default=default, metadata=known)
+
+
 # fmt: off
-_TABLE = (
-    Parameter("robot", "kinova_j2s6s200", "The arm: a built-in model (kinova_j2s6s200, kinova_j2n6s300), `topic`, or a URDF's path.", read_only=True),
-    Parameter("arm_joints", [], "The arm's joints in driver order; empty: the model's own.", element=str, read_only=True),
-    Parameter("planning_frame", "", "Frame of clouds and targets while planning: the root of the arm's chain; empty: the model's.", read_only=True),
-    Parameter("tool_frame", "", "Frame that must reach the target; empty: the model's `<name>_end_effector`.", read_only=True),
-    Parameter("planner", DEFAULT_PLANNER, "Which search: the default, or one of the paper's three.", choices=tuple(PLANNERS)),
-    Parameter("time_budget_s", 0.5, "Search time; the best path found until then is used.", "s", 0.01, 600.0),
-    Parameter("iterations", 0, "Search iterations instead of time (the same seed then gives the same path); 0: by time.", "", 0, 100_000_000),
-    Parameter("seed", 0, "Seed of the random generator; 0: a fresh one for each plan, echoed in the result.", "", 0, 2**31 - 1),
-    Parameter("c_perm", 100.0, "Cost of one tree node inside leaves in the paper's metric (C_perm).", "", 0.0, 1e9),
-    Parameter("step_rad", 0.1, "Step of the paper's planners (δ).", "rad", 0.001, 1.0),
-    Parameter("leaf_weight", -1.0, "Cost of a radian of leaf contact in the integral metric; negative: c_perm / step_rad.", "1/rad", -1.0, 1e9),
-    Parameter("leaf_cost", "binary", "What a touched leaf costs: `binary` (any contact is 1) or `graded` (grows with the leaf area touched).", choices=("binary", "graded")),
-    Parameter("leaf_policy", "permeable", "`permeable` (leaves cost), `solid` (leaves are obstacles), `ignored` (leaves are free), for comparison.", choices=("permeable", "solid", "ignored")),
-    Parameter("max_leaf_contact_rad", -1.0, "Refuse paths with more leaf contact than this (LEAF_BUDGET_EXCEEDED); negative: off.", "rad", -1.0, 100.0),
-    Parameter("beta", 1.0, "Strength of the adaptive potential field in apf_rrt_star (β).", "", 0.0, 100.0),
-    Parameter("k_att", 50.0, "Attractive gain of the potential field in joint space (K_att).", "1/rad²", 0.0, 1e9),
-    Parameter("k_rep_leaf", 2e-4, "Repulsive gain of leaves (K_rep), for workspace distances.", "m²", 0.0, 1e9),
-    Parameter("k_rep_stem", 2e-4, "Repulsive gain of stems (K_rep), for workspace distances.", "m²", 0.0, 1e9),
-    Parameter("d_star_m", 0.1, "Range of the repulsive field (d*), a workspace distance.", "m", 0.001, 10.0),
-    Parameter("goal_radius_rad", 0.3, "The paper's planners join the goal from nodes within this distance of it.", "rad", 0.0, 10.0),
-    Parameter("goal_bias", 0.05, "Share of the paper's planners' samples that are a goal; the paper names none.", "", 0.0, 1.0),
-    Parameter("ik_starts", 200, "Random starts of the inverse kinematics.", "", 1, 100_000),
-    Parameter("max_goals", 24, "Goal configurations handed to the search, the most promising first.", "", 1, 1000),
-    Parameter("stem_margin_m", 0.005, "Clearance to stems that the search keeps, beyond their radius; less only close to a start or goal that has less.", "m", 0.0, 0.2),
-    Parameter("stem_point_radius_m", 0.004, "Radius of a stem point.", "m", 0.0005, 0.1),
-    Parameter("leaf_point_radius_m", 0.004, "Radius of a leaf point.", "m", 0.0005, 0.1),
-    Parameter("target_exclusion_radius_m", 0.06, "Points this close to the target do not block the gripper's links in the approach zone; 0: off.", "m", 0.0, 0.5),
-    Parameter("approach_zone_m", 0.10, "Distance of the tool from the target within which the exclusion sphere holds.", "m", 0.0, 1.0),
-    Parameter("self_filter_padding_m", 0.01, "Points of live clouds this close to the arm's own meshes are taken for the arm.", "m", 0.0, 0.1),
-    Parameter("voxel_m", 0.01, "Largest spacing of the distance fields.", "m", 0.002, 0.05),
-    Parameter("keep_out_boxes", [], "Boxes as hard as stems: min x y z, max x y z of each, in the planning frame.", "m", length_multiple=6),
-    Parameter("floor_z_m", -1000.0, "Height of a floor as hard as a stem, for all links but the base; -1000: none.", "m", -1000.0, 1000.0),
-    Parameter("workspace_box", [], "Box that the arm must stay in: min x y z, max x y z; empty: none.", "m", length_multiple=6),
-    Parameter("velocity_scaling", 1.0, "Share of the joint velocity limits that a motion may use.", "", 0.01, 1.0),
-    Parameter("acceleration_scaling", 1.0, "Share of the joint acceleration limits that a motion may use.", "", 0.01, 1.0),
-    Parameter("leaf_speed_scale", 1.0, "Share of the speed used where the arm touches leaves.", "", 0.05, 1.0),
-    Parameter("trajectory_dt_s", 0.02, "Time grid of the trajectory.", "s", 0.01, 0.5),
-    Parameter("corner_tolerance_rad", 0.01, "How far the timed motion may cut the corners of the path, in joint space.", "rad", 0.0005, 0.1),
-)
-
-_NODE_TABLE = (
-    Parameter("motion_enabled", True, "Whether `~/plan`, `~/execute` and `~/retreat` may move the arm."),
-    Parameter("allow_empty_stem_cloud", False, "Whether a motion is allowed with an empty stem cloud or none."),
-    Parameter("max_cloud_age_s", 0.0, "Refuse to plan on clouds older than this; 0: off.", "s", 0.0, 1e6),
-    Parameter("max_joint_state_age_s", 0.3, "Refuse to plan or move on joint states older than this; 0: off.", "s", 0.0, 1e6),
-    Parameter("max_target_age_s", 0.0, "Refuse targets older than this, when ~/plan or ~/preview begins and when ~/plan sends; 0: off.", "s", 0.0, 1e6),
-    Parameter("label_field", "label", "Field of `labelled_cloud` that holds the class."),
-    Parameter("leaf_labels", [0], "Classes of `labelled_cloud` that are leaves.", element=int),
-    Parameter("stem_labels", [1], "Classes that are stems (every other class not named here is impermeable too).", element=int),
-    Parameter("fruit_labels", [2], "Classes that are fruit: impermeable, the one at the target excepted. The default gives way to classes that are named elsewhere.", element=int),
-    Parameter("ignored_labels", [], "Classes that are left out.", element=int),
-    Parameter("max_cloud_skew_s", 0.0, "Refuse leaf and stem clouds whose stamps are further apart than this; 0: off.", "s", 0.0, 1e6),
-    Parameter("max_clock_skew_s", 1.0, "Refuse stamps that lie further in the future than this; 0: off.", "s", 0.0, 1e6),
-    Parameter("static_transforms", [], "Where tf2 is not there: `parent child x y z qx qy qz qw` of each camera, in metres.", element=str, read_only=True),
-    Parameter("tf_timeout_s", 0.2, "How long a plan waits for the transform of a cloud or a target.", "s", 0.0, 60.0),
-    Parameter("warm_up_timeout_s", 600.0, "How long a request waits for the compilation of the kernels before it answers NOT_READY.", "s", 0.0, 3600.0),
-    Parameter("controller", "jtc", "What carries the motion out, and so how it is stopped: a joint trajectory controller or Kinova's driver.", choices=("jtc", "kinova")),
-    Parameter("start_tolerance_rad", 0.01, "Largest difference of a joint from the plan's start when the motion is sent.", "rad", 0.0001, 0.1),
-    Parameter("stillness_rad", 0.003, "The arm is at rest when no joint moved further than this within stillness_time_s.", "rad", 0.0001, 0.1),
-    Parameter("stillness_time_s", 0.25, "See stillness_rad.", "s", 0.02, 5.0),
-    Parameter("stillness_timeout_s", 3.0, "How long a request waits for the arm to come to rest before it answers ARM_MOVING.", "s", 0.1, 60.0),
-    Parameter("execution_tolerance_rad", 0.15, "Stop a motion when a joint is further than this from where the plan had it during the last execution_lag_s.", "rad", 0.005, 3.0),
-    Parameter("execution_lag_s", 0.4, "How far the arm may lag behind the plan.", "s", 0.0, 5.0),
-    Parameter("goal_tolerance_rad", 0.02, "A motion has succeeded when the arm rests this close to its last point.", "rad", 0.0005, 0.5),
-    Parameter("goal_time_s", 2.0, "How long the arm may take to come to rest there after the motion's end.", "s", 0.1, 60.0),
-    Parameter("replan_attempts", 0, "How often `~/plan` plans again from rest after a motion was stopped by a new stem or a deviation.", "", 0, 10),
-    Parameter("deadline_s", 0.0, "Give a request up as TIMED_OUT after this long, certificate and last checks included; what waits for rest or compiles before does not count; 0: off.", "s", 0.0, 600.0),
-    Parameter("viewer_port", 0, "Port of the 3-D page; 0: off.", "", 0, 65535, read_only=True),
-    Parameter("viewer_host", "127.0.0.1", "Address that the 3-D page is served at; elsewhere it is for looking only, unless LIME_PLANNER_VIEWER_TOKEN is set.", read_only=True),
-)
-# fmt: on
-
-#: Settings of the pipeline, by name.
-PARAMETERS: dict[str, Parameter] = {p.name: p for p in _TABLE}
-#: Settings of the node alone (inputs and motion), by name.
-NODE_PARAMETERS: dict[str, Parameter] = {p.name: p for p in _NODE_TABLE}
-
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Settings:
-    """One consistent set of the pipeline's parameters; names, units and meanings are those of `PARAMETERS`."""
+    """One consistent set of the pipeline's parameters; `settings_from` makes it of checked values."""
 
-    robot: str
-    arm_joints: tuple[str, ...]
-    planning_frame: str
-    tool_frame: str
-    planner: str
-    time_budget_s: float
-    iterations: int
-    seed: int
-    c_perm: float
-    step_rad: float
-    leaf_weight: float
-    leaf_cost: str
-    leaf_policy: str
-    max_leaf_contact_rad: float
-    beta: float
-    k_att: float
-    k_rep_leaf: float
-    k_rep_stem: float
-    d_star_m: float
-    goal_radius_rad: float
-    goal_bias: float
-    ik_starts: int
-    max_goals: int
-    stem_margin_m: float
-    stem_point_radius_m: float
-    leaf_point_radius_m: float
-    target_exclusion_radius_m: float
-    approach_zone_m: float
-    self_filter_padding_m: float
-    voxel_m: float
-    keep_out_boxes: tuple[float, ...]
-    floor_z_m: float
-    workspace_box: tuple[float, ...]
-    velocity_scaling: float
-    acceleration_scaling: float
-    leaf_speed_scale: float
-    trajectory_dt_s: float
-    corner_tolerance_rad: float
+    robot: str = _row("kinova_j2s6s200", "The arm: a built-in model (kinova_j2s6s200, kinova_j2n6s300), `topic`, or a URDF's path.", read_only=True)
+    arm_joints: tuple[str, ...] = _row((), "The arm's joints in driver order; empty: the model's own.", read_only=True)
+    planning_frame: str = _row("", "Frame of clouds and targets while planning: the root of the arm's chain; empty: the model's.", read_only=True)
+    tool_frame: str = _row("", "Frame that must reach the target; empty: the model's `<name>_end_effector`.", read_only=True)
+    planner: str = _row(DEFAULT_PLANNER, "Which search: the default, or one of the paper's three.", choices=tuple(PLANNERS))
+    time_budget_s: float = _row(0.5, "Search time; the best path found until then is used.", "s", 0.01, 600.0)
+    iterations: int = _row(0, "Search iterations instead of time (the same seed then gives the same path); 0: by time.", "", 0, 100_000_000)
+    seed: int = _row(0, "Seed of the random generator; 0: a fresh one for each plan, echoed in the result.", "", 0, 2**31 - 1)
+    c_perm: float = _row(100.0, "Cost of one tree node inside leaves in the paper's metric (C_perm).", "", 0.0, 1e9)
+    step_rad: float = _row(0.1, "Step of the paper's planners (δ).", "rad", 0.001, 1.0)
+    leaf_weight: float = _row(-1.0, "Cost of a radian of leaf contact in the integral metric; negative: c_perm / step_rad.", "1/rad", -1.0, 1e9)
+    leaf_cost: str = _row("binary", "What a touched leaf costs: `binary` (any contact is 1) or `graded` (grows with the leaf area touched).", choices=("binary", "graded"), shapes_obstacles=True)
+    leaf_policy: str = _row("permeable", "`permeable` (leaves cost), `solid` (leaves are obstacles), `ignored` (leaves are free), for comparison.", choices=("permeable", "solid", "ignored"), shapes_obstacles=True)
+    max_leaf_contact_rad: float = _row(-1.0, "Refuse paths with more leaf contact than this (LEAF_BUDGET_EXCEEDED); negative: off.", "rad", -1.0, 100.0)
+    beta: float = _row(1.0, "Strength of the adaptive potential field in apf_rrt_star (β).", "", 0.0, 100.0)
+    k_att: float = _row(50.0, "Attractive gain of the potential field in joint space (K_att).", "1/rad²", 0.0, 1e9)
+    k_rep_leaf: float = _row(2e-4, "Repulsive gain of leaves (K_rep), for workspace distances.", "m²", 0.0, 1e9)
+    k_rep_stem: float = _row(2e-4, "Repulsive gain of stems (K_rep), for workspace distances.", "m²", 0.0, 1e9)
+    d_star_m: float = _row(0.1, "Range of the repulsive field (d*), a workspace distance.", "m", 0.001, 10.0)
+    goal_radius_rad: float = _row(0.3, "The paper's planners join the goal from nodes within this distance of it.", "rad", 0.0, 10.0)
+    goal_bias: float = _row(0.05, "Share of the paper's planners' samples that are a goal; the paper names none.", "", 0.0, 1.0)
+    ik_starts: int = _row(200, "Random starts of the inverse kinematics.", "", 1, 100_000)
+    max_goals: int = _row(24, "Goal configurations handed to the search, the most promising first.", "", 1, 1000)
+    stem_margin_m: float = _row(0.005, "Clearance to stems that the search keeps, beyond their radius; less only close to a start or goal that has less.", "m", 0.0, 0.2, shapes_obstacles=True)
+    stem_point_radius_m: float = _row(0.004, "Radius of a stem point.", "m", 0.0005, 0.1, shapes_obstacles=True)
+    leaf_point_radius_m: float = _row(0.004, "Radius of a leaf point.", "m", 0.0005, 0.1, shapes_obstacles=True)
+    target_exclusion_radius_m: float = _row(0.06, "Points this close to the target do not block the gripper's links in the approach zone; 0: off.", "m", 0.0, 0.5, shapes_obstacles=True)
+    approach_zone_m: float = _row(0.10, "Distance of the tool from the target within which the exclusion sphere holds.", "m", 0.0, 1.0, shapes_obstacles=True)
+    self_filter_padding_m: float = _row(0.01, "Points of live clouds this close to the arm's own meshes are taken for the arm.", "m", 0.0, 0.1)
+    voxel_m: float = _row(0.01, "Largest spacing of the distance fields.", "m", 0.002, 0.05, shapes_obstacles=True)
+    keep_out_boxes: tuple[float, ...] = _row((), "Boxes as hard as stems: min x y z, max x y z of each, in the planning frame.", "m", length_multiple=6, shapes_obstacles=True)
+    floor_z_m: float = _row(-1000.0, "Height of a floor as hard as a stem, for all links but the base; -1000: none.", "m", -1000.0, 1000.0, shapes_obstacles=True)
+    workspace_box: tuple[float, ...] = _row((), "Box that the arm must stay in: min x y z, max x y z; empty: none.", "m", length_multiple=6, shapes_obstacles=True)
+    velocity_scaling: float = _row(1.0, "Share of the joint velocity limits that a motion may use.", "", 0.01, 1.0)
+    acceleration_scaling: float = _row(1.0, "Share of the joint acceleration limits that a motion may use.", "", 0.01, 1.0)
+    leaf_speed_scale: float = _row(1.0, "Share of the speed used where the arm touches leaves.", "", 0.05, 1.0)
+    trajectory_dt_s: float = _row(0.02, "Time grid of the trajectory.", "s", 0.01, 0.5)
+    corner_tolerance_rad: float = _row(0.01, "How far the timed motion may cut the corners of the path, in joint space.", "rad", 0.0005, 0.1)
 
     @property
     def weight(self) -> float:
         """Cost of one radian of leaf contact [1/rad]: `leaf_weight`, or C_perm / δ."""
         return self.leaf_weight if self.leaf_weight >= 0.0 else self.c_perm / self.step_rad
+
+
+@dataclass(frozen=True, kw_only=True)
+class NodeSettings:
+    """One consistent set of the parameters of the node alone: its inputs, and motion."""
+
+    motion_enabled: bool = _row(True, "Whether `~/plan`, `~/execute` and `~/retreat` may move the arm.")
+    allow_empty_stem_cloud: bool = _row(False, "Whether a motion is allowed with an empty stem cloud or none.")
+    max_cloud_age_s: float = _row(0.0, "Refuse to plan on clouds older than this; 0: off.", "s", 0.0, 1e6)
+    max_joint_state_age_s: float = _row(0.3, "Refuse to plan or move on joint states older than this; 0: off.", "s", 0.0, 1e6)
+    max_target_age_s: float = _row(0.0, "Refuse targets older than this, when ~/plan or ~/preview begins and when ~/plan sends; 0: off.", "s", 0.0, 1e6)
+    label_field: str = _row("label", "Field of `labelled_cloud` that holds the class.")
+    leaf_labels: tuple[int, ...] = _row((0,), "Classes of `labelled_cloud` that are leaves.")
+    stem_labels: tuple[int, ...] = _row((1,), "Classes that are stems (every other class not named here is impermeable too).")
+    fruit_labels: tuple[int, ...] = _row((2,), "Classes that are fruit: impermeable, the one at the target excepted. The default gives way to classes that are named elsewhere.")
+    ignored_labels: tuple[int, ...] = _row((), "Classes that are left out.")
+    max_cloud_skew_s: float = _row(0.0, "Refuse leaf and stem clouds whose stamps are further apart than this; 0: off.", "s", 0.0, 1e6)
+    max_clock_skew_s: float = _row(1.0, "Refuse stamps that lie further in the future than this; 0: off.", "s", 0.0, 1e6)
+    static_transforms: tuple[str, ...] = _row((), "Where tf2 is not there: `parent child x y z qx qy qz qw` of each camera, in metres.", read_only=True)
+    tf_timeout_s: float = _row(0.2, "How long a plan waits for the transform of a cloud or a target.", "s", 0.0, 60.0)
+    warm_up_timeout_s: float = _row(600.0, "How long a request waits for the compilation of the kernels before it answers NOT_READY.", "s", 0.0, 3600.0)
+    controller: str = _row("jtc", "What carries the motion out, and so how it is stopped: a joint trajectory controller or Kinova's driver.", choices=("jtc", "kinova"))
+    start_tolerance_rad: float = _row(0.01, "Largest difference of a joint from the plan's start when the motion is sent.", "rad", 0.0001, 0.1)
+    stillness_rad: float = _row(0.003, "The arm is at rest when no joint moved further than this within stillness_time_s.", "rad", 0.0001, 0.1)
+    stillness_time_s: float = _row(0.25, "See stillness_rad.", "s", 0.02, 5.0)
+    stillness_timeout_s: float = _row(3.0, "How long a request waits for the arm to come to rest before it answers ARM_MOVING.", "s", 0.1, 60.0)
+    execution_tolerance_rad: float = _row(0.15, "Stop a motion when a joint is further than this from where the plan had it during the last execution_lag_s.", "rad", 0.005, 3.0)
+    execution_lag_s: float = _row(0.4, "How far the arm may lag behind the plan.", "s", 0.0, 5.0)
+    goal_tolerance_rad: float = _row(0.02, "A motion has succeeded when the arm rests this close to its last point.", "rad", 0.0005, 0.5)
+    goal_time_s: float = _row(2.0, "How long the arm may take to come to rest there after the motion's end.", "s", 0.1, 60.0)
+    replan_attempts: int = _row(0, "How often `~/plan` plans again from rest after a motion was stopped by a new stem or a deviation.", "", 0, 10)
+    deadline_s: float = _row(0.0, "Give a request up as TIMED_OUT after this long, certificate and last checks included; what waits for rest or compiles before does not count; 0: off.", "s", 0.0, 600.0)
+    viewer_port: int = _row(0, "Port of the 3-D page; 0: off.", "", 0, 65535, read_only=True)
+    viewer_host: str = _row("127.0.0.1", "Address that the 3-D page is served at; elsewhere it is for looking only, unless LIME_PLANNER_VIEWER_TOKEN is set.", read_only=True)
+# fmt: on
+
+
+def _table(settings: type) -> dict[str, Parameter]:
+    """Return the rows of a class of settings by name, a tuple's as a list of its elements' type."""
+    types, rows = typing.get_type_hints(settings), {}
+    for field in dataclasses.fields(settings):
+        of_list = typing.get_origin(types[field.name]) is tuple
+        element = typing.get_args(types[field.name])[0] if of_list else float
+        default: Any = field.default
+        rows[field.name] = Parameter(field.name, list(default) if of_list else default, element=element, **field.metadata)
+    return rows
+
+
+#: Settings of the pipeline, by name.
+PARAMETERS: dict[str, Parameter] = _table(Settings)
+#: Settings of the node alone (inputs and motion), by name.
+NODE_PARAMETERS: dict[str, Parameter] = _table(NodeSettings)
+
+_SHAPING = tuple(name for name, parameter in PARAMETERS.items() if parameter.shapes_obstacles)
+
+
+def obstacle_settings(settings: Settings) -> tuple[Any, ...]:
+    """Return the values that obstacles are made of: where they are equal, so are the obstacles of a scene and a target."""
+    return tuple(getattr(settings, name) for name in _SHAPING)
 
 
 def _number(parameter: Parameter, value: Any, element: type) -> Any:
@@ -247,35 +254,31 @@ def validate(name: str, value: Any) -> Any:
     return checked
 
 
-def _check_together(values: Mapping[str, Any]) -> None:
-    for name in ("keep_out_boxes", "workspace_box"):
-        box = values[name]
+def _check_together(settings: Settings) -> None:
+    for name, box in (("keep_out_boxes", settings.keep_out_boxes), ("workspace_box", settings.workspace_box)):
         for k in range(0, len(box), 6):
             low, high = box[k : k + 3], box[k + 3 : k + 6]
             if any(a >= b for a, b in zip(low, high, strict=True)):
                 raise ParameterError(f"{name}: box {k // 6} has its minimum {list(low)} not below its maximum {list(high)}")
-    if len(values["workspace_box"]) > 6:
-        raise ParameterError(f"workspace_box needs 6 numbers, got {len(values['workspace_box'])}")
+    if len(settings.workspace_box) > 6:
+        raise ParameterError(f"workspace_box needs 6 numbers, got {len(settings.workspace_box)}")
+
+
+def frozen(checked: Mapping[str, Any]) -> dict[str, Any]:
+    """Return checked values as the fields hold them: lists as tuples."""
+    return {name: tuple(value) if isinstance(value, list) else value for name, value in checked.items()}
 
 
 def settings_from(mapping: Mapping[str, Any] | None = None) -> Settings:
-    """Make `Settings` from some parameters, the defaults for the rest.
+    """Make `Settings` from some parameters, the defaults for the rest; the node's own are checked and left out.
 
     Raises:
         ParameterError: see `validate`; also where two parameters contradict each other.
     """
-    given = dict(mapping or {})
-    values: dict[str, Any] = {}
-    for name, value in given.items():
-        checked = validate(name, value)
-        if name in PARAMETERS:
-            values[name] = checked
-    for name, parameter in PARAMETERS.items():
-        values.setdefault(name, parameter.default)
-    _check_together(values)
-    frozen = {k: tuple(v) if isinstance(v, list) else v for k, v in values.items()}
-    chosen: Any = {f.name: frozen[f.name] for f in fields(Settings)}
-    return Settings(**chosen)
+    checked = {name: validate(name, value) for name, value in (mapping or {}).items()}
+    settings = Settings(**frozen({name: value for name, value in checked.items() if name in PARAMETERS}))
+    _check_together(settings)
+    return settings
 
 
 def read_yaml(text: str) -> Any:

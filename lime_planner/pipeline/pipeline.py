@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from lime_planner.collision.exact import ExactChecker
 from lime_planner.collision.link_shapes import Shapes, build_shapes
-from lime_planner.core.parameters import Settings, settings_from
+from lime_planner.core.parameters import Settings, obstacle_settings, settings_from
 from lime_planner.core.planners import PLANNERS
 from lime_planner.core.status import Status
 from lime_planner.core.types import Array
@@ -30,20 +30,6 @@ from lime_planner.scene.scene import Scene
 _FINISH_S = 0.25  # of a deadline, left for certificate and timing
 _RETRY_MARGIN_M = 0.003  # added to the margin when the exact check refuses a path
 _ATTEMPTS = 2
-# The settings that obstacles are made of; all others may change from one call to the next.
-_SHAPING = (
-    "leaf_policy",
-    "leaf_cost",
-    "stem_margin_m",
-    "stem_point_radius_m",
-    "leaf_point_radius_m",
-    "target_exclusion_radius_m",
-    "approach_zone_m",
-    "voxel_m",
-    "keep_out_boxes",
-    "floor_z_m",
-    "workspace_box",
-)
 
 
 class Pipeline:
@@ -95,7 +81,7 @@ class Pipeline:
             Stopped: CANCELLED.
         """
         place = None if target is None else tuple(np.asarray(target, dtype=np.float64))
-        key = (place, *(getattr(settings, name) for name in _SHAPING))
+        key = (place, obstacle_settings(settings))
         kept = self._kept  # read and written whole: another thread may ask at the same time
         if kept is None or kept[0] is not scene or kept[1] != key:
             kept = self._kept = (scene, key, prepare(self.robot, self.shapes, scene, target, settings, should_stop))

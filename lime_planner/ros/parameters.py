@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import difflib
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -13,7 +14,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
 
 from lime_planner.core.errors import ParameterError
-from lime_planner.core.parameters import NODE_PARAMETERS, PARAMETERS, Parameter, Settings, settings_from, validate
+from lime_planner.core.parameters import NODE_PARAMETERS, PARAMETERS, NodeSettings, Parameter, Settings, frozen, settings_from, validate
 from lime_planner.scene import point_cloud2
 from lime_planner.scene.labels import fruit_in_force
 
@@ -24,40 +25,6 @@ _ARRAYS = {int: RosParameter.Type.INTEGER_ARRAY, float: RosParameter.Type.DOUBLE
 _ROS_NAMES = ("use_sim_time", "start_type_description_service")
 #: How alike two names are (difflib's ratio) before one is taken for a slip of the other.
 _SLIP_RATIO = 0.85
-
-
-@dataclass(frozen=True)
-class NodeSettings:
-    """One consistent set of the node's own parameters; names, units and meanings are those of `NODE_PARAMETERS`."""
-
-    motion_enabled: bool
-    allow_empty_stem_cloud: bool
-    max_cloud_age_s: float
-    max_joint_state_age_s: float
-    max_target_age_s: float
-    label_field: str
-    leaf_labels: tuple[int, ...]
-    stem_labels: tuple[int, ...]
-    fruit_labels: tuple[int, ...]
-    ignored_labels: tuple[int, ...]
-    max_cloud_skew_s: float
-    max_clock_skew_s: float
-    static_transforms: tuple[str, ...]
-    tf_timeout_s: float
-    warm_up_timeout_s: float
-    controller: str
-    start_tolerance_rad: float
-    stillness_rad: float
-    stillness_time_s: float
-    stillness_timeout_s: float
-    execution_tolerance_rad: float
-    execution_lag_s: float
-    goal_tolerance_rad: float
-    goal_time_s: float
-    replan_attempts: int
-    deadline_s: float
-    viewer_port: int
-    viewer_host: str
 
 
 @dataclass(frozen=True)
@@ -75,13 +42,11 @@ def snapshot_from(values: Mapping[str, Any]) -> Snapshot:
         ParameterError: unknown name, wrong type, out of range, or values that contradict each other.
     """
     checked = {name: validate(name, value) for name, value in values.items()}
-    node = {name: checked.get(name, parameter.default) for name, parameter in NODE_PARAMETERS.items()}
-    frozen: dict[str, Any] = {name: tuple(value) if isinstance(value, list) else value for name, value in node.items()}
-    classes = {name: frozen[name] for name in ("leaf_labels", "stem_labels", "fruit_labels", "ignored_labels")}
-    frozen["fruit_labels"] = fruit_in_force(**classes)
-    if frozen["label_field"] in ("", *point_cloud2.XYZ, point_cloud2.COST_FIELD):
-        raise ParameterError(f"label_field is {frozen['label_field']!r}; it must name a field that holds nothing but the class")
-    return Snapshot(settings_from({name: value for name, value in checked.items() if name in PARAMETERS}), NodeSettings(**frozen))
+    node = NodeSettings(**frozen({name: value for name, value in checked.items() if name in NODE_PARAMETERS}))
+    fruit = fruit_in_force(node.leaf_labels, node.stem_labels, node.fruit_labels, node.ignored_labels)
+    if node.label_field in ("", *point_cloud2.XYZ, point_cloud2.COST_FIELD):
+        raise ParameterError(f"label_field is {node.label_field!r}; it must name a field that holds nothing but the class")
+    return Snapshot(settings_from(checked), dataclasses.replace(node, fruit_labels=fruit))
 
 
 def check_names(given: Iterable[str]) -> list[str]:

@@ -10,7 +10,7 @@ import pytest
 
 from lime_planner.cli.parameter_file import read_parameter_file
 from lime_planner.core.errors import ParameterError
-from lime_planner.core.parameters import parse_assignment, settings_from, validate
+from lime_planner.core.parameters import NODE_PARAMETERS, PARAMETERS, NodeSettings, Settings, parse_assignment, settings_from, validate
 
 
 @pytest.mark.parametrize(
@@ -71,6 +71,17 @@ def test_numpy_numbers_are_numbers() -> None:
     ):
         with pytest.raises(ParameterError, match=name):
             validate(name, value)
+
+
+def test_the_fields_are_the_table() -> None:
+    assert settings_from() == Settings()
+    for settings, table in ((Settings(), PARAMETERS), (NodeSettings(), NODE_PARAMETERS)):
+        for name, parameter in table.items():
+            value = getattr(settings, name)
+            assert validate(name, parameter.default) == parameter.default == (list(value) if isinstance(value, tuple) else value), name
+            assert parameter.description.endswith(".") and parameter.name == name
+    assert not PARAMETERS.keys() & NODE_PARAMETERS.keys()
+    assert [NODE_PARAMETERS[name].element for name in ("leaf_labels", "static_transforms")] == [int, str]
 
 
 def test_files_read_numbers_as_the_node_does(tmp_path: Path) -> None:

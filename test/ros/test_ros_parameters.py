@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 import time
 from collections.abc import Iterator
-from dataclasses import fields
 
 import pytest
 import rclpy
@@ -18,7 +17,7 @@ from std_msgs.msg import String
 from lime_planner.core.errors import ParameterError
 from lime_planner.core.parameters import NODE_PARAMETERS, PARAMETERS
 from lime_planner.ros import qos
-from lime_planner.ros.parameters import NodeParameters, NodeSettings, check_names, snapshot_from
+from lime_planner.ros.parameters import NodeParameters, check_names, snapshot_from
 
 pytestmark = pytest.mark.alone
 
@@ -34,10 +33,6 @@ def context() -> Iterator[rclpy.Context]:
 def make(context: rclpy.Context, *overrides: Parameter) -> tuple[Node, NodeParameters]:
     node = Node("parameters", context=context, parameter_overrides=list(overrides))
     return node, NodeParameters(node)
-
-
-def test_the_nodes_settings_are_the_nodes_table() -> None:
-    assert {field.name for field in fields(NodeSettings)} == set(NODE_PARAMETERS)
 
 
 def test_all_are_declared_with_descriptions(context: rclpy.Context) -> None:
