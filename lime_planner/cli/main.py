@@ -18,7 +18,7 @@ from types import ModuleType
 from typing import Any
 
 from lime_planner import __version__
-from lime_planner.core.errors import LimePlannerError
+from lime_planner.core.errors import LimePlannerError, Refusal, UsageError
 from lime_planner.core.status import Status
 
 _CHECKOUT = Path(__file__).resolve().parents[2]
@@ -176,8 +176,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     except LimePlannerError as error:
         if debug:
             traceback.print_exc()
-        _tell(args, getattr(error, "status", Status.BAD_INPUT), str(error))
-        return int(getattr(error, "exit_status", 1))
+        _tell(args, error.status if isinstance(error, Refusal) else Status.BAD_INPUT, str(error))
+        return 2 if isinstance(error, UsageError) else 1
     except ModuleNotFoundError as error:
         if debug:
             traceback.print_exc()

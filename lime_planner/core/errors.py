@@ -1,10 +1,23 @@
-"""Exceptions for callers' mistakes. Outcomes of planning are not exceptions: they are `lime_planner.core.status.Status`."""
+"""Exceptions. Callers' mistakes have a class of their own each; `Refusal` carries a status to where a request is answered."""
 
 from __future__ import annotations
+
+from lime_planner.core.status import Status
 
 
 class LimePlannerError(Exception):
     """Base of everything this package raises on purpose; its text is one sentence for a user."""
+
+
+class Refusal(LimePlannerError):
+    """A request cannot be served, or a plan ends early: `status` is the code of the answer, the text its sentence.
+
+    Raised where that is found out and caught where the request is answered; success is never raised.
+    """
+
+    def __init__(self, status: Status, sentence: str) -> None:
+        super().__init__(sentence)
+        self.status = status
 
 
 class SceneError(LimePlannerError, ValueError):
@@ -20,9 +33,7 @@ class ParameterError(LimePlannerError, ValueError):
 
 
 class UsageError(ParameterError):
-    """Options of a command that are missing or do not go together; the exit status is 2, as for every wrong usage."""
-
-    exit_status = 2
+    """Options of a command that are missing or do not go together: the command line answers with the exit status of wrong usage."""
 
 
 class ProblemError(LimePlannerError, ValueError):

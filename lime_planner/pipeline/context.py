@@ -11,25 +11,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from lime_planner.core.errors import ProblemError
+from lime_planner.core.errors import ProblemError, Refusal
 from lime_planner.core.status import Status
 from lime_planner.core.types import Array
 from lime_planner.core.validation import floats, shown
 from lime_planner.robot.model import Robot
-
-
-class Stopped(Exception):
-    """Carries an outcome out of the steps; not an error."""
-
-    def __init__(self, status: Status, sentence: str) -> None:
-        """Keep the outcome.
-
-        Args:
-            status: what became of the plan.
-            sentence: with the numbers that matter.
-        """
-        super().__init__(sentence)
-        self.status, self.sentence = status, sentence
 
 
 class Clock:
@@ -57,9 +43,9 @@ def never() -> bool:
 
 
 def ask(should_stop: Callable[[], bool]) -> None:
-    """Raise `Stopped` with CANCELLED if the caller wants to stop."""
+    """Raise `Refusal` with CANCELLED if the caller wants to stop."""
     if should_stop():
-        raise Stopped(Status.CANCELLED, "the request was stopped")
+        raise Refusal(Status.CANCELLED, "the request was stopped")
 
 
 def checked_start(robot: Robot, q: npt.ArrayLike) -> Array:

@@ -11,6 +11,7 @@ import numpy as np
 from lime_planner.collision.exact import ExactChecker
 from lime_planner.collision.fast import LEAF
 from lime_planner.collision.joint_space import measure
+from lime_planner.core.errors import Refusal
 from lime_planner.core.geometry import matrix_to_pose
 from lime_planner.core.parameters import Settings
 from lime_planner.core.status import Status
@@ -18,7 +19,6 @@ from lime_planner.core.types import Array
 from lime_planner.motion.contract import violations
 from lime_planner.motion.timing import time_path
 from lime_planner.motion.trajectory import Trajectory
-from lime_planner.pipeline.context import Stopped
 from lime_planner.pipeline.obstacles import Obstacles
 from lime_planner.planning.planner import load_planner
 from lime_planner.robot.model import Robot
@@ -50,13 +50,13 @@ def hit_of(checker: ExactChecker, configurations: Array, should_stop: Callable[[
     """Check configurations exactly, one after another; the contact found in words, None if there is none.
 
     Raises:
-        Stopped: CANCELLED before the last one; what was not looked at must never pass for clear.
+        Refusal: CANCELLED before the last one; what was not looked at must never pass for clear.
     """
     certificate = checker.certify(configurations, should_stop)
     if certificate.ok:
         return None
     if certificate.hit is None:
-        raise Stopped(Status.CANCELLED, "the request was stopped during the exact check")
+        raise Refusal(Status.CANCELLED, "the request was stopped during the exact check")
     return f"{certificate.hit} at sample {certificate.index} of {len(configurations)}"
 
 

@@ -145,7 +145,7 @@ def prepare(
         should_stop: cancels.
 
     Raises:
-        Stopped: CANCELLED.
+        Refusal: CANCELLED.
     """
     hard = _hard_points(robot, scene, target, settings)
     leaf, costs = scene.leaf_points, scene.leaf_costs

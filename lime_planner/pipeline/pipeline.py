@@ -11,12 +11,13 @@ import numpy.typing as npt
 
 from lime_planner.collision.exact import ExactChecker
 from lime_planner.collision.link_shapes import Shapes, build_shapes
+from lime_planner.core.errors import Refusal
 from lime_planner.core.parameters import Settings, obstacle_settings, settings_from
 from lime_planner.core.planners import PLANNERS
 from lime_planner.core.status import Status
 from lime_planner.core.types import Array
 from lime_planner.pipeline import recheck as follow
-from lime_planner.pipeline.context import Clock, Stopped, ask, checked_deadline, checked_start, checked_target, never
+from lime_planner.pipeline.context import Clock, ask, checked_deadline, checked_start, checked_target, never
 from lime_planner.pipeline.finish import CERTIFIED_STEP_RAD, hit_of, path_figures, sample_path
 from lime_planner.pipeline.goals import Goals, examine_start, find_goals
 from lime_planner.pipeline.obstacles import Obstacles, prepare, stem_checker
@@ -78,7 +79,7 @@ class Pipeline:
             should_stop: cancels.
 
         Raises:
-            Stopped: CANCELLED.
+            Refusal: CANCELLED.
         """
         place = None if target is None else tuple(np.asarray(target, dtype=np.float64))
         key = (place, obstacle_settings(settings))
@@ -118,11 +119,12 @@ class Pipeline:
         seed = int(seed) or int(settings.seed) or int(np.random.default_rng().integers(1, 2**31 - 1))
         counts: dict[str, int] = {}
         iterations = [0]
+        figures: dict[str, Any] = {}
 
-        def refused(stop: Stopped, **figures: Any) -> PlanResult:
+        def outcome(status: Status, sentence: str) -> PlanResult:
             return PlanResult(
-                stop.status,
-                stop.status.message(stop.sentence),
+                status,
+                status.message(sentence),
                 settings.planner,
                 seed,
                 iterations=iterations[0],
@@ -138,7 +140,6 @@ class Pipeline:
         def ended() -> bool:
             return should_stop() or (deadline_s is not None and clock.elapsed() >= deadline_s)
 
-        figures: dict[str, Any] = {}
         try:
             obstacles, checker, goals = self._goals(scene, T, q, settings, seed, clock, counts, ended)
             found = self._path(obstacles, checker, q, goals, settings, seed, clock, counts, ended, deadline_s, iterations)
@@ -148,20 +149,19 @@ class Pipeline:
             limit = settings.max_leaf_contact_rad
             if limit >= 0.0 and figures["leaf_contact_rad"] > limit:
                 sentence = f"the least leaf contact found is {figures['leaf_contact_rad']:.3f} rad, allowed are {limit:.3f} rad"
-                raise Stopped(Status.LEAF_BUDGET_EXCEEDED, sentence)
+                raise Refusal(Status.LEAF_BUDGET_EXCEEDED, sentence)
             figures["trajectory"] = follow.timed_motion(obstacles, checker, found.path, q, settings, clock, ended)
-        except Stopped as stop:
-            if stop.status is Status.CANCELLED and not should_stop():
-                stop = Stopped(
-                    Status.TIMED_OUT, f"the deadline, {deadline_s:.2f} s after planning began, passed before a motion was certified"
-                )
-            return refused(stop, **figures)
+        except Refusal as refusal:
+            if refusal.status is Status.CANCELLED and not should_stop():
+                sentence = f"the deadline, {deadline_s:.2f} s after planning began, passed before a motion was certified"
+                return outcome(Status.TIMED_OUT, sentence)
+            return outcome(refusal.status, str(refusal))
         sentence = (
             f"{len(found.path)} waypoints over {figures['path_length_rad']:.2f} rad, {figures['leaf_contact_rad']:.3f} rad of it among "
             f"leaves, stems at least {1e3 * figures['min_stem_clearance_m']:.1f} mm away, "
             f"{figures['trajectory'].duration_s:.1f} s of motion, planned in {clock.elapsed():.2f} s{_unseen(scene, obstacles)}"
         )
-        return refused(Stopped(Status.SUCCEEDED, sentence), **figures)
+        return outcome(Status.SUCCEEDED, sentence)
 
     def _goals(
         self,
@@ -181,12 +181,12 @@ class Pipeline:
         ask(should_stop)
         reason = examine_start(obstacles, checker, q)
         if reason is not None:
-            raise Stopped(*reason)
+            raise Refusal(*reason)
         goals = find_goals(obstacles, checker, T, q, np.random.default_rng(seed))
         counts |= {"ik_solutions": goals.found, "goals": len(goals.configurations)}
         clock.lap("inverse_kinematics")
         if goals.status is not None:
-            raise Stopped(goals.status, goals.sentence)
+            raise Refusal(goals.status, goals.sentence)
         ask(should_stop)
         return obstacles.with_anchors(goals.anchors, goals.needs), checker, goals
 
@@ -220,16 +220,16 @@ class Pipeline:
             clock.lap("search")
             if found.path is None:
                 if found.status is Status.CANCELLED:
-                    raise Stopped(Status.CANCELLED, "the request was stopped while searching")
+                    raise Refusal(Status.CANCELLED, "the request was stopped while searching")
                 if found.status is Status.START_INVALID:
-                    raise Stopped(found.status, "where the arm stands, it is closer to itself or to something hard than can be certified")
+                    raise Refusal(found.status, "where the arm stands, it is closer to itself or to something hard than can be certified")
                 amount = f"{found.iterations} iterations" if budget is None else f"{budget:.2f} s ({found.iterations} iterations)"
-                raise Stopped(found.status, f"no path to any of {len(goals.configurations)} goal configurations within {amount}")
+                raise Refusal(found.status, f"no path to any of {len(goals.configurations)} goal configurations within {amount}")
             hit = hit_of(checker, sample_path(found.path, CERTIFIED_STEP_RAD)[0], should_stop)
             clock.lap("certificate")
             if hit is None:
                 return found
-        raise Stopped(Status.PATH_INVALID, f"the exact check refuses the path: {hit}")
+        raise Refusal(Status.PATH_INVALID, f"the exact check refuses the path: {hit}")
 
     def follow(
         self,

@@ -10,13 +10,13 @@ import numpy as np
 import numpy.typing as npt
 
 from lime_planner.collision.exact import ExactChecker
-from lime_planner.core.errors import ProblemError
+from lime_planner.core.errors import ProblemError, Refusal
 from lime_planner.core.parameters import Settings
 from lime_planner.core.status import Status
 from lime_planner.core.types import Array
 from lime_planner.core.validation import floats
 from lime_planner.motion.trajectory import Trajectory
-from lime_planner.pipeline.context import Clock, Stopped, ask, never
+from lime_planner.pipeline.context import Clock, ask, never
 from lime_planner.pipeline.finish import CERTIFIED_STEP_RAD, contract_violations, hit_of, make_trajectory, path_figures, sample_path
 from lime_planner.pipeline.obstacles import Obstacles
 from lime_planner.pipeline.result import PlanResult
@@ -38,7 +38,7 @@ def timed_motion(
     A motion that touches something where it cuts a corner of the certified path is timed once more, closer to the path.
 
     Raises:
-        Stopped: PATH_INVALID with the broken rules or the contact; CANCELLED.
+        Refusal: PATH_INVALID with the broken rules or the contact; CANCELLED.
     """
     tolerances = [settings.corner_tolerance_rad]
     if settings.corner_tolerance_rad > _CLOSE_TOLERANCE_RAD:
@@ -50,12 +50,12 @@ def timed_motion(
         ask(should_stop)
         broken = contract_violations(obstacles.robot, trajectory, q_measured, settings)
         if broken:
-            raise Stopped(Status.PATH_INVALID, "; ".join(broken))
+            raise Refusal(Status.PATH_INVALID, "; ".join(broken))
         hit = hit_of(checker, trajectory.configurations(CERTIFIED_STEP_RAD), should_stop)
         clock.lap("certificate")
         if hit is None:
             return trajectory
-    raise Stopped(Status.PATH_INVALID, f"the exact check refuses the timed motion: {hit}")
+    raise Refusal(Status.PATH_INVALID, f"the exact check refuses the timed motion: {hit}")
 
 
 def follow(
@@ -89,17 +89,16 @@ def follow(
         hit = hit_of(checker, sample_path(path, CERTIFIED_STEP_RAD)[0], should_stop)
         clock.lap("certificate")
         if hit is not None:
-            raise Stopped(Status.PATH_INVALID, f"the exact check refuses the path: {hit}")
+            raise Refusal(Status.PATH_INVALID, f"the exact check refuses the path: {hit}")
         figures = path_figures(world, checker, path, None)
         clock.lap("figures")
         figures["trajectory"] = timed_motion(world, checker, path, path[0], settings, clock, should_stop)
-        outcome = Stopped(Status.SUCCEEDED, f"{figures['path_length_rad']:.2f} rad, {figures['trajectory'].duration_s:.1f} s of motion")
-    except Stopped as stop:
-        outcome = stop
-    message = outcome.status.message(outcome.sentence)
+        status, sentence = Status.SUCCEEDED, f"{figures['path_length_rad']:.2f} rad, {figures['trajectory'].duration_s:.1f} s of motion"
+    except Refusal as refusal:
+        status, sentence = refusal.status, str(refusal)
     return PlanResult(
-        outcome.status,
-        message,
+        status,
+        status.message(sentence),
         settings.planner,
         0,
         planning_time_s=clock.elapsed(),
@@ -126,8 +125,8 @@ def recheck(
         if broken:
             return Status.PATH_INVALID, "; ".join(broken)
         hit = hit_of(world.exact_checker(), trajectory.configurations(CERTIFIED_STEP_RAD), should_stop)
-    except Stopped as stop:
-        return stop.status, stop.sentence
+    except Refusal as refusal:
+        return refusal.status, str(refusal)
     if hit is not None:
         return Status.PATH_INVALID, f"the exact check refuses the motion in the newest scene: {hit}"
     return Status.SUCCEEDED, f"the motion of {trajectory.duration_s:.1f} s is still clear"
@@ -144,5 +143,5 @@ def obstruction(
         return None
     try:
         return hit_of(checker(), rest, should_stop)
-    except Stopped:
+    except Refusal:
         return None

@@ -17,9 +17,8 @@ from nav_msgs.msg import Path
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from lime_planner.core.errors import ProblemError
+from lime_planner.core.errors import ProblemError, Refusal
 from lime_planner.core.geometry import matrix_to_pose, pose_to_matrix
-from lime_planner.core.refusal import Refusal
 from lime_planner.core.status import Status
 from lime_planner.core.types import Array
 from lime_planner.motion.trajectory import Trajectory

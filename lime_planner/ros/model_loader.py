@@ -8,9 +8,8 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
-from lime_planner.core.errors import LimePlannerError
+from lime_planner.core.errors import LimePlannerError, Refusal
 from lime_planner.core.parameters import Settings
-from lime_planner.core.refusal import Refusal
 from lime_planner.core.status import Status
 from lime_planner.motion import stop
 from lime_planner.pipeline import Pipeline

@@ -11,9 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from lime_planner.core.errors import ProblemError, SceneError
+from lime_planner.core.errors import ProblemError, Refusal, SceneError
 from lime_planner.core.geometry import matrix_to_pose, pose_to_matrix
-from lime_planner.core.refusal import Refusal
 from lime_planner.core.status import Status
 from lime_planner.core.transforms import TransformTree, clean_name
 from lime_planner.core.types import Array

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from ros_fakes import START, FakeRobot, result
 
-from lime_planner.core.refusal import Refusal
+from lime_planner.core.errors import Refusal
 from lime_planner.core.status import Status
 from lime_planner.motion import stop as braking
 from lime_planner.motion.trajectory import Trajectory

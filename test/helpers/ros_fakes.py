@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 from builtin_interfaces.msg import Time
 
-from lime_planner.core.errors import ProblemError
-from lime_planner.core.refusal import Refusal
+from lime_planner.core.errors import ProblemError, Refusal
 from lime_planner.core.status import Status
 from lime_planner.motion.trajectory import Trajectory
 from lime_planner.ros.inputs.clouds import encode_cloud

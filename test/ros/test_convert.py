@@ -11,7 +11,7 @@ from geometry_msgs.msg import PoseStamped
 from ros_fakes import JOINTS, trajectory
 from sensor_msgs.msg import JointState
 
-from lime_planner.core.refusal import Refusal
+from lime_planner.core.errors import Refusal
 from lime_planner.core.status import Status
 from lime_planner.ros.convert import (
     JointReader,

@@ -23,9 +23,8 @@ from ros_fakes import JOINTS, cloud, never
 from sensor_msgs.msg import JointState, PointCloud2, PointField
 
 from lime_planner.cli import main as cli
-from lime_planner.core.errors import SceneError
+from lime_planner.core.errors import Refusal, SceneError
 from lime_planner.core.parameters import NODE_PARAMETERS, PARAMETERS
-from lime_planner.core.refusal import Refusal
 from lime_planner.ros.convert import to_pose
 from lime_planner.ros.inputs.frames import StaticFrames
 from lime_planner.ros.inputs.latest import Inputs

@@ -13,9 +13,8 @@ from ros_fakes import FakePipeline, FakeRobot, result
 
 from lime_planner.collision.arm_filter import FAR_M, ArmSurface
 from lime_planner.collision.arm_filter_live import make_arm_filter
-from lime_planner.core.errors import RobotError
+from lime_planner.core.errors import Refusal, RobotError
 from lime_planner.core.parameters import settings_from
-from lime_planner.core.refusal import Refusal
 from lime_planner.core.status import Status
 from lime_planner.pipeline.plan_record import PlanRecord
 from lime_planner.robot.model import Robot, home, load_robot

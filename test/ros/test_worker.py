@@ -8,7 +8,7 @@ from collections import Counter
 
 import pytest
 
-from lime_planner.core.refusal import Refusal
+from lime_planner.core.errors import Refusal
 from lime_planner.core.status import Status
 from lime_planner.ros.requests.worker import Answer, Ticket, Worker, answered_after
 

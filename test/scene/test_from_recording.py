@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lime_planner.core.errors import SceneError
-from lime_planner.core.refusal import Refusal
+from lime_planner.core.errors import Refusal, SceneError
 from lime_planner.scene.bag import CLOUD, JOINTS, POSE
 from lime_planner.scene.files import Start, load_start
 from lime_planner.scene.from_clouds import Labels

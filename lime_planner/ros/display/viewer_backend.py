@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING, NamedTuple
 from geometry_msgs.msg import PoseStamped
 from rclpy.parameter import Parameter as RosParameter
 
-from lime_planner.core.errors import LimePlannerError
+from lime_planner.core.errors import LimePlannerError, Refusal
 from lime_planner.core.geometry import matrix_to_pose
-from lime_planner.core.refusal import Refusal
 from lime_planner.core.status import Status
 from lime_planner.core.types import Array
 from lime_planner.ros.convert import to_pose

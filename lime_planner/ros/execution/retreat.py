@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from lime_planner.core.refusal import Refusal
+from lime_planner.core.errors import Refusal
 from lime_planner.core.status import Status
 from lime_planner.core.types import Array
 

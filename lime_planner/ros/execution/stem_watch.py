@@ -9,7 +9,7 @@ import time
 import traceback
 from collections.abc import Callable
 
-from lime_planner.core.refusal import Refusal
+from lime_planner.core.errors import Refusal
 from lime_planner.core.status import Status
 from lime_planner.ros.execution.execution import Execution
 from lime_planner.ros.execution.motion import Motion

@@ -9,8 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from sensor_msgs.msg import PointCloud2, PointField
 
-from lime_planner.core.errors import SceneError
-from lime_planner.core.refusal import Refusal
+from lime_planner.core.errors import Refusal, SceneError
 from lime_planner.core.status import Status
 from lime_planner.scene import point_cloud2
 from lime_planner.scene.point_cloud2 import TYPES, XYZ, Cloud

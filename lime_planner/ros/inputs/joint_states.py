@@ -18,8 +18,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from lime_planner.core.errors import Refusal
 from lime_planner.core.geometry import whole_turns
-from lime_planner.core.refusal import Refusal
 from lime_planner.core.status import Status
 from lime_planner.core.types import Array
 

@@ -16,7 +16,7 @@ import numpy.typing as npt
 from geometry_msgs.msg import PoseStamped
 from sensor_msgs.msg import JointState, PointCloud2
 
-from lime_planner.core.refusal import Refusal
+from lime_planner.core.errors import Refusal
 from lime_planner.core.status import Status
 from lime_planner.core.types import Array
 from lime_planner.ros.convert import JointReader, stamp_s, target_matrix

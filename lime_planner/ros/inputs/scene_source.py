@@ -9,14 +9,14 @@ from dataclasses import dataclass
 
 from std_msgs.msg import Header
 
-from lime_planner.core.errors import SceneError
-from lime_planner.core.refusal import Refusal
+from lime_planner.core.errors import Refusal, SceneError
+from lime_planner.core.parameters import NodeSettings
 from lime_planner.core.status import Status
 from lime_planner.core.transforms import clean_name
 from lime_planner.core.types import Array
 from lime_planner.ros.inputs.frames import Frames
 from lime_planner.ros.inputs.latest import Inputs, Sample
-from lime_planner.ros.parameters import NodeSettings, Snapshot
+from lime_planner.ros.parameters import Snapshot
 from lime_planner.scene.from_clouds import CLOUDS, ArmFilter, Labels, belonging_together, scene_of_cloud
 from lime_planner.scene.scene import Scene, merged
 

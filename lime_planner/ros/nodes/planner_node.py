@@ -27,8 +27,7 @@ from trajectory_msgs.msg import JointTrajectory
 from visualization_msgs.msg import MarkerArray
 
 from lime_planner.collision.arm_filter_live import make_arm_filter
-from lime_planner.core.errors import LimePlannerError
-from lime_planner.core.refusal import Refusal
+from lime_planner.core.errors import LimePlannerError, Refusal
 from lime_planner.core.status import Status
 from lime_planner.robot.model import Robot
 from lime_planner.ros import qos

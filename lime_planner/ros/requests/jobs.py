@@ -12,9 +12,8 @@ from typing import TypeVar
 import numpy as np
 from geometry_msgs.msg import PoseStamped
 
-from lime_planner.core.errors import LimePlannerError
+from lime_planner.core.errors import LimePlannerError, Refusal
 from lime_planner.core.geometry import matrix_to_pose
-from lime_planner.core.refusal import Refusal
 from lime_planner.core.status import Status
 from lime_planner.core.types import Array
 from lime_planner.pipeline.plan_record import PlanRecord

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from lime_planner.core.refusal import Refusal
+from lime_planner.core.errors import Refusal
 from lime_planner.core.status import Status
 from lime_planner.doctor.findings import Finding, Level, fault, ok, warning
 from lime_planner.ros.inputs.clouds import decode_cloud

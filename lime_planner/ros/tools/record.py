@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from lime_planner.collision.arm_filter_live import make_arm_filter
+from lime_planner.core.errors import Refusal
 from lime_planner.core.geometry import matrix_to_pose
-from lime_planner.core.refusal import Refusal
 from lime_planner.robot.model import Robot
 from lime_planner.ros.inputs.scene_source import SceneSource
 from lime_planner.ros.parameters import Snapshot

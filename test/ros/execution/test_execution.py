@@ -11,7 +11,7 @@ import pytest
 from execution_rig import Rig, refusal_of, rested, snapshot  # noqa: F401  (a fixture)
 from ros_fakes import JOINTS, START, result
 
-from lime_planner.core.refusal import Refusal
+from lime_planner.core.errors import Refusal
 from lime_planner.core.status import Status
 from lime_planner.ros.execution.motion import Motion
 from lime_planner.ros.execution.stem_watch import StemWatch

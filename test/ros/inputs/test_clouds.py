@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from sensor_msgs.msg import PointCloud2, PointField
 
-from lime_planner.core.refusal import Refusal
+from lime_planner.core.errors import Refusal
 from lime_planner.core.status import Status
 from lime_planner.ros.inputs.clouds import check_layout, decode_cloud, encode_cloud
 from lime_planner.scene.scene import Scene

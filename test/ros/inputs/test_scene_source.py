@@ -11,7 +11,7 @@ import pytest
 from ros_fakes import JOINTS, cloud, never, refusal_of, stamped
 from sensor_msgs.msg import JointState
 
-from lime_planner.core.refusal import Refusal
+from lime_planner.core.errors import Refusal
 from lime_planner.core.status import Status
 from lime_planner.ros.inputs.frames import StaticFrames
 from lime_planner.ros.inputs.latest import Inputs
