@@ -39,11 +39,12 @@ view: setup
 
 lint: setup
 	$(BIN)/ruff check .
+	$(BIN)/ruff format --check --quiet .
 	$(BIN)/mypy
 
 test: lint
 	@scripts/browser.sh
-	ROS_PYTHON_CHECK_FIELDS=1 $(BIN)/python -m pytest -m "not alone" -n 2 --dist loadfile $(PYTEST_ARGS)
+	ROS_PYTHON_CHECK_FIELDS=1 $(BIN)/python -m pytest -m "not alone" -n 2 --dist loadfile --cov --cov-report=term:skip-covered $(PYTEST_ARGS)
 	ROS_PYTHON_CHECK_FIELDS=1 $(BIN)/python -m pytest -m alone $(PYTEST_ARGS)
 
 docs: setup

@@ -45,6 +45,7 @@ EXTRAS_REQUIRE = {
     "test": [
         "pytest>=7.4,<9",
         "pytest-xdist>=3.5",
+        "pytest-cov>=4.1",
         "hypothesis>=6.90",
         "ruff>=0.6",
         "mypy>=1.11",
