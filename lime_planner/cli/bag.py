@@ -41,7 +41,7 @@ def read_bag(
     from lime_planner.scene.from_recording import Frame, read_recording
 
     of = label_options(values)
-    classes = (tuple(of[name]) for name in ("leaf_labels", "stem_labels", "fruit_labels", "ignored_labels"))
+    classes = (tuple(of[name]) for name in ("leaf_labels", "stem_labels", "fruit_labels", "ignored_labels", "class_costs"))
     labels = Labels(of["label_field"], *classes)
     frame = Frame(robot.planning_frame, robot.joint_names, make_arm_filter(robot), padding_m)
     return read_recording(path, frame, topics=topics, at_s=at_s, labels=labels)

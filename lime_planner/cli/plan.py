@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from lime_planner.scene.scene import Scene
 
 #: The node's parameters that say how a file's labels are read.
-_OF_FILES = ("label_field", "leaf_labels", "stem_labels", "fruit_labels", "ignored_labels")
+_OF_FILES = ("label_field", "leaf_labels", "stem_labels", "fruit_labels", "ignored_labels", "class_costs")
 
 _EPILOG = """\
 SCENE is an .npz with points (N, 3) [m] and labels (0 leaf, 1 stem, 2 fruit), or

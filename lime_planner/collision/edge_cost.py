@@ -11,6 +11,7 @@ from lime_planner.collision.compiled_check import call_check
 from lime_planner.collision.fast import LEAF, NEED, ZONE
 from lime_planner.core.jit import hot_kernel
 from lime_planner.core.types import Array, Int32
+from lime_planner.planning.prices import stretch_cost
 
 MAX_EDGE_STATES = 2048
 BIG_LEAF_STEP_RAD = 0.05  # inside leaves the intensity is sampled at least this often
@@ -162,8 +163,8 @@ def arm_edge(space: Any, a: Array, b: Array, weight: float, bound: float) -> Any
         settled = _open_interval(space, left, right, length, bodies)
         if settled >= 0.0:
             leaf += settled
-            if length + weight * leaf > bound:
-                return length + weight * leaf
+            if stretch_cost(length, weight, leaf) > bound:
+                return stretch_cost(length, weight, leaf)
             continue
         if samples >= MAX_EDGE_STATES:
             return np.inf
@@ -186,4 +187,4 @@ def arm_edge(space: Any, a: Array, b: Array, weight: float, bound: float) -> Any
             memory.left[at] = first
             memory.right[at] = last
         samples += 1
-    return length + weight * leaf
+    return stretch_cost(length, weight, leaf)

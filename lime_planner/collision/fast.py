@@ -16,16 +16,15 @@ from lime_planner.collision.distance_fields import Fields, lower_bound, sample
 from lime_planner.collision.link_shapes import Shapes
 from lime_planner.collision.point_contact import leaf_near, place, points_near, touched_patches
 from lime_planner.collision.self_contact import SELF_CLEARANCE_M, self_clearance
-from lime_planner.collision.world import CAP_M, GRADED, World, hard_distance, required_clearance
+from lime_planner.collision.world import CAP_M, World, hard_distance, required_clearance
 from lime_planner.core.jit import inline_kernel
 from lime_planner.core.types import Array, Int32, Int64
+from lime_planner.planning.prices import GRADED, body_price, is_settled, with_body
 from lime_planner.robot.kinematics import Chain, forward_kinematics
 
 REFINE_M = 0.002  # clearances are exact up to this much above the required one, lower bounds beyond
 DESCEND_M = 0.006  # coarse spheres clearer than this are not looked into: what they overstate would shorten the steps along edges
 FAR_M = 0.025  # a body whose bounding sphere has this much to spare is not looked at more closely
-GRADED_CELL_M = 0.01  # graded leaf cost: the points of one cell of this edge stand for one patch of leaf ...
-GRADED_UNIT = 20.0  # ... and this many touched patches, about one leaf, cost as much as a binary contact
 
 SELF, LEAF, ZONE, NEED = 0, 1, 2, 3  # places in State.misc
 
@@ -148,10 +147,11 @@ def _scan_body(world: Any, shapes: Any, scratch: Any, b: Any, inside: Any, need:
 
 @inline_kernel
 def _leaf_of_body(world: Any, shapes: Any, scratch: Any, b: Any, state: Any) -> Any:
-    """Leaf intensity of one body, looking only at the coarse spheres left open; completes state.leaf_clear."""
+    """Price of what one body touches, looking only at the coarse spheres left open; completes state.leaf_clear."""
     pose = scratch.poses[b]
     fields = world.fields
-    graded = world.leaf_mode == GRADED
+    prices = world.prices
+    graded = prices.mode == GRADED
     radius = world.leaf_radius
     mask = scratch.masks[b]
     best = state.leaf_clear[b]
@@ -172,14 +172,14 @@ def _leaf_of_body(world: Any, shapes: Any, scratch: Any, b: Any, state: Any) -> 
                 touched += touched_patches(shapes, b, pose, fields.leaves, x, y, z, reach, radius, scratch.marks, scratch.last_mark[0])
                 best = 0.0 if touched > 0.0 else min(best, 0.001)
             else:
-                d, weight = leaf_near(shapes, b, pose, fields.leaves, x, y, z, reach + 0.001, radius, world.leaf_top)
+                d, weight = leaf_near(shapes, b, pose, fields.leaves, x, y, z, reach + 0.001, radius, prices.top)
                 touched = max(touched, weight)
                 best = 0.0 if touched > 0.0 else min(best, d - radius, 0.001)
-                if touched >= world.leaf_top:
+                if is_settled(prices, touched):
                     state.leaf_clear[b] = 0.0
-                    return touched
+                    return body_price(prices, touched)
     state.leaf_clear[b] = best
-    return touched / GRADED_UNIT if graded else touched
+    return body_price(prices, touched)
 
 
 @inline_kernel
@@ -242,17 +242,13 @@ def check(chain: Chain, shapes: Shapes, world: World, scratch: Scratch, q: Array
         valid = False
     intensity = 0.0
     if leaves:
-        if world.leaf_mode == GRADED:
+        if world.prices.mode == GRADED:
             scratch.last_mark[0] += 1
         for step in range(bodies):
             b = bodies - 1 - step
             if scratch.masks[b] != 0:
-                found = _leaf_of_body(world, shapes, scratch, b, state)
-                if world.leaf_mode == GRADED:
-                    intensity += found
-                else:
-                    intensity = max(intensity, found)
-                    if intensity >= world.leaf_top:
-                        break
+                intensity = with_body(world.prices, intensity, _leaf_of_body(world, shapes, scratch, b, state))
+                if is_settled(world.prices, intensity):
+                    break
     state.misc[LEAF] = intensity
     return valid

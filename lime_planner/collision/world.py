@@ -10,9 +10,9 @@ import numpy as np
 from lime_planner.collision.distance_fields import Fields, box_distance
 from lime_planner.core.jit import inline_kernel
 from lime_planner.core.types import Array
+from lime_planner.planning.prices import BINARY, Prices
 
 CAP_M = 0.5  # larger clearances are reported as this
-BINARY, GRADED = 0, 1  # leaf modes
 
 
 class World(NamedTuple):
@@ -23,14 +23,13 @@ class World(NamedTuple):
         stem_radius, leaf_radius: radii of the points.
         margin: clearance kept to stems, beyond their radius.
         boxes: (K, 2, 3) keep-out boxes.
-        floor_z: height of the floor, -inf for none.
+        floor_z: height of the floor, -1e10 for none.
         workspace: (2, 3) box that the arm stays in, infinite for none.
         exclusion: (4,) centre and radius of the sphere in which stem points do not block the gripper, radius 0 for none.
         zone: distance of the tool from the sphere's centre within which that holds.
         anchors: (A, n) configurations (start, goals) that have less clearance than the margin, anchor_need: (A,) what is required at
             them; the requirement grows by `slope` [m/rad] with the distance from them until it is the margin again.
-        leaf_mode: BINARY (the intensity is the largest permeability cost touched) or GRADED.
-        leaf_top: largest permeability cost of any leaf point.
+        prices: how what is touched becomes a configuration's price.
     """
 
     fields: Fields
@@ -45,8 +44,7 @@ class World(NamedTuple):
     anchors: Array
     anchor_need: Array
     slope: float
-    leaf_mode: int
-    leaf_top: float
+    prices: Prices
 
 
 def empty_world(fields: Fields, n: int, **values: Any) -> World:
@@ -65,8 +63,7 @@ def empty_world(fields: Fields, n: int, **values: Any) -> World:
         "anchors": np.zeros((0, n)),
         "anchor_need": np.zeros(0),
         "slope": 0.02,
-        "leaf_mode": BINARY,
-        "leaf_top": 1.0,
+        "prices": Prices(BINARY, 1.0),
     }
     return World(**(parts | values))
 

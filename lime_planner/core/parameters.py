@@ -152,6 +152,7 @@ class NodeSettings:
     stem_labels: tuple[int, ...] = _row((1,), "Classes that are stems (every other class not named here is impermeable too).")
     fruit_labels: tuple[int, ...] = _row((2,), "Classes that are fruit: impermeable, the one at the target excepted. The default gives way to classes that are named elsewhere.")
     ignored_labels: tuple[int, ...] = _row((), "Classes that are left out.")
+    class_costs: tuple[str, ...] = _row((), "Prices of permeable classes, `LABEL: PRICE` each: what touching one costs as a share of a leaf's 1; times `permeability_cost` where points have one.")
     max_cloud_skew_s: float = _row(0.0, "Refuse leaf and stem clouds whose stamps are further apart than this; 0: off.", "s", 0.0, 1e6)
     max_clock_skew_s: float = _row(1.0, "Refuse stamps that lie further in the future than this; 0: off.", "s", 0.0, 1e6)
     static_transforms: tuple[str, ...] = _row((), "Where tf2 is not there: `parent child x y z qx qy qz qw` of each camera, in metres.", read_only=True)

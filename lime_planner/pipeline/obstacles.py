@@ -10,13 +10,13 @@ import numpy as np
 
 from lime_planner.collision.distance_fields import build_fields
 from lime_planner.collision.exact import ExactChecker
-from lime_planner.collision.fast import GRADED_CELL_M
 from lime_planner.collision.joint_space import ArmSpace, make_arm_space
 from lime_planner.collision.link_shapes import Shapes
-from lime_planner.collision.world import BINARY, GRADED, World, empty_world
+from lime_planner.collision.world import World, empty_world
 from lime_planner.core.parameters import Settings
 from lime_planner.core.types import Array, Float32
 from lime_planner.pipeline.context import ask, never
+from lime_planner.planning.prices import BINARY, GRADED, price_of_points
 from lime_planner.robot.model import Robot
 from lime_planner.scene.scene import Scene
 from lime_planner.scene.voxels import thin
@@ -119,19 +119,6 @@ def _exact_checker(robot: Robot, hard: Float32, leaves: Float32, target: Array |
     )
 
 
-def _patch_weights(points: Float32, costs: Float32) -> Float32:
-    """Weights that add up to the permeability cost in each graded cell, however many points it holds."""
-    if not len(points):
-        return costs
-    cells = np.floor(points / GRADED_CELL_M).astype(np.int64)
-    cells -= cells.min(axis=0)
-    # One number for each cell: rows of three would take ten times as long to tell apart.
-    _, inverse, counts = np.unique(
-        np.ravel_multi_index(tuple(cells.T), tuple(cells.max(axis=0) + 1)), return_inverse=True, return_counts=True
-    )
-    return np.asarray(costs / counts[inverse], dtype=np.float32)
-
-
 def prepare(
     robot: Robot, shapes: Shapes, scene: Scene, target: Array | None, settings: Settings, should_stop: Callable[[], bool] = never
 ) -> Obstacles:
@@ -162,8 +149,7 @@ def prepare(
     touched = thinned_costs > 0.0  # a leaf that costs nothing is free space
     thinned, thinned_costs = thinned[touched], thinned_costs[touched]
     ask(should_stop)
-    graded = settings.leaf_cost == "graded"
-    weights = _patch_weights(thinned, thinned_costs) if graded else thinned_costs
+    weights, prices = price_of_points(thinned, thinned_costs, GRADED if settings.leaf_cost == "graded" else BINARY)
     fields = build_fields(hard, thinned, weights, spacing_m=settings.voxel_m, pause=lambda: ask(should_stop))
     counts = dict(scene.counts) | {"stem_points_used": len(hard), "leaf_points_used": len(thinned)}
     exclusion = np.zeros(4)
@@ -183,7 +169,6 @@ def prepare(
         exclusion=exclusion,
         zone=settings.approach_zone_m,
         slope=_MARGIN_SLOPE,
-        leaf_mode=GRADED if graded else BINARY,
-        leaf_top=float(weights.max(initial=0.0)),
+        prices=prices,
     )
     return Obstacles(robot, shapes, world, hard, thinned, settings, target, counts)

@@ -43,7 +43,7 @@ def snapshot_from(values: Mapping[str, Any]) -> Snapshot:
     """
     checked = {name: validate(name, value) for name, value in values.items()}
     node = NodeSettings(**frozen({name: value for name, value in checked.items() if name in NODE_PARAMETERS}))
-    fruit = fruit_in_force(node.leaf_labels, node.stem_labels, node.fruit_labels, node.ignored_labels)
+    fruit = fruit_in_force(node.leaf_labels, node.stem_labels, node.fruit_labels, node.ignored_labels, node.class_costs)
     if node.label_field in ("", *point_cloud2.XYZ, point_cloud2.COST_FIELD):
         raise ParameterError(f"label_field is {node.label_field!r}; it must name a field that holds nothing but the class")
     return Snapshot(settings_from(checked), dataclasses.replace(node, fruit_labels=fruit))

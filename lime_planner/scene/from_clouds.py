@@ -34,6 +34,7 @@ class Labels:
     stem: tuple[int, ...] = (STEM,)
     fruit: tuple[int, ...] = (FRUIT,)
     ignored: tuple[int, ...] = ()
+    class_costs: tuple[str, ...] = ()
 
 
 def belonging_together(arrivals_s: Mapping[str, float]) -> tuple[str, ...]:
@@ -94,6 +95,7 @@ def scene_of_cloud(
             stem_labels=labels.stem if labelled else (STEM,),
             fruit_labels=labels.fruit if labelled else (),
             ignored_labels=labels.ignored if labelled else (),
+            class_costs=labels.class_costs if labelled else (),
             permeability_cost=cloud.columns.get(COST_FIELD),
         )
     except SceneError as error:

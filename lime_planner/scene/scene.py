@@ -14,7 +14,7 @@ from lime_planner.core.errors import ParameterError, SceneError
 from lime_planner.core.types import Array, Float32, Int32, UInt8
 from lime_planner.scene.arrays import any_of, column, finite_rows, frozen, numbers, points_of, whole_labels
 from lime_planner.scene.files import Start, read_members, write_members
-from lime_planner.scene.labels import fruit_in_force
+from lime_planner.scene.labels import ClassCosts, class_prices, fruit_in_force, point_prices
 
 #: Labels of the points in scene files and clouds; every other label is impermeable.
 LEAF, STEM, FRUIT = 0, 1, 2
@@ -38,8 +38,8 @@ class Scene:
     """What stands in front of the arm. All lengths in metres, in the frame `frame_id` (the planning frame), z up.
 
     Attributes:
-        leaf_points: (N, 3) float32, permeable.
-        leaf_costs: (N,) float32 >= 0, multiplies the leaf weight at each leaf point [-].
+        leaf_points: (N, 3) float32, permeable: leaves and every other class with a price.
+        leaf_costs: (N,) float32 >= 0, price of each leaf point, multiplies the leaf weight there [-].
         stem_points: (M, 3) float32, impermeable: stems, branches, stakes, wires and whatever has an unknown label.
         fruit_points: (K, 3) float32, every fruit, the target's too (see `impermeable_points`).
         frame_id: the frame of all points.
@@ -118,6 +118,7 @@ class Scene:
         stem_labels: Sequence[int] = (STEM,),
         fruit_labels: Sequence[int] = (FRUIT,),
         ignored_labels: Sequence[int] = (),
+        class_costs: ClassCosts = (),
     ) -> Scene:
         """Load a scene file, enlarge it by `scale` about its origin, then move it by `offset`; its target pose goes with it.
 
@@ -131,10 +132,11 @@ class Scene:
             stem_labels: the known impermeable labels.
             fruit_labels: the labels of fruit; the default gives way to classes that name it.
             ignored_labels: the labels to drop.
+            class_costs: prices of further permeable classes.
 
         Raises:
             SceneError: the file is missing, of another kind, truncated, empty, without a needed field, a field does not fit, or two
-                classes share a label.
+                classes share a label, or a price is none.
         """
         members = read_members(path, label_field)
         frame = str(members.pop("frame_id", "")) or frame_id
@@ -148,6 +150,7 @@ class Scene:
                 stem_labels=stem_labels,
                 fruit_labels=fruit_labels,
                 ignored_labels=ignored_labels,
+                class_costs=class_costs,
                 **members,
             )
         except SceneError as error:
@@ -197,6 +200,7 @@ class Scene:
         stem_labels: Sequence[int] = (STEM,),
         fruit_labels: Sequence[int] = (FRUIT,),
         ignored_labels: Sequence[int] = (),
+        class_costs: ClassCosts = (),
         permeability_cost: npt.ArrayLike | None = None,
         stake_points: npt.ArrayLike | None = None,
         target_pose: npt.ArrayLike | None = None,
@@ -217,14 +221,16 @@ class Scene:
             stem_labels: the known impermeable labels.
             fruit_labels: the labels of fruit; none for no fruit.
             ignored_labels: points with these labels are dropped (the ground, say).
-            permeability_cost: (N,) >= 0, used at leaf points [-]; default 1.
+            class_costs: prices of classes by label, as a mapping or as `LABEL: PRICE` texts: these labels are permeable too, and a point
+                costs the price of its class [-]; leaves cost 1 unless named here.
+            permeability_cost: (N,) >= 0, multiplies the price of permeable points [-]; default 1.
             stake_points: (S, 3) [m], further impermeable points.
             target_pose: (7,) T_base_tool at the grasp.
             leaf_ids: (N,) integers, used at leaf points.
             **truth: further fields of `Scene`, taken as they are.
 
         Raises:
-            SceneError: sizes differ, labels are no integers, two classes share one, a cost is negative or not finite.
+            SceneError: sizes differ, labels are no integers, two classes share one, a price or a cost is negative or not finite.
         """
         points = points_of("points", points)
         n = len(points)
@@ -233,10 +239,12 @@ class Scene:
         stakes = points_of("stake_points", () if stake_points is None else stake_points)
         finite_stakes = finite_rows(stakes)
         try:
-            fruit_labels = fruit_in_force(leaf_labels, stem_labels, fruit_labels, ignored_labels)
+            fruit_labels = fruit_in_force(leaf_labels, stem_labels, fruit_labels, ignored_labels, class_costs)
+            prices = class_prices(class_costs)
         except ParameterError as error:
             raise SceneError(str(error)) from None
-        fruit, stem, ignored, leaf = (any_of(labels, wanted) for wanted in (fruit_labels, stem_labels, ignored_labels, leaf_labels))
+        permeable = (*leaf_labels, *prices)
+        fruit, stem, ignored, leaf = (any_of(labels, wanted) for wanted in (fruit_labels, stem_labels, ignored_labels, permeable))
         unknown = ~(stem | fruit | ignored | leaf)
         counts = {
             "received": n + len(stakes),
@@ -248,7 +256,7 @@ class Scene:
         costs: npt.NDArray[Any] = np.ones(n) if permeability_cost is None else column("permeability_cost", permeability_cost, n)
         return cls(
             leaf_points=points[leaf],
-            leaf_costs=costs[leaf],
+            leaf_costs=point_prices(labels[leaf], costs[leaf], prices),
             stem_points=np.concatenate([points[hard], stakes[finite_stakes]]),
             fruit_points=points[fruit],
             frame_id=frame_id,

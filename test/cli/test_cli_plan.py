@@ -166,6 +166,11 @@ def test_labels_mean_the_same_as_to_the_node(scene: Scene, tmp_path: Path, capsy
     again = read_plan(tmp_path / "a.json").load_scene()
     assert len(again.leaf_points) == len(scene.leaf_points) and not len(again.fruit_points)
     capsys.readouterr()
+    priced = ("--set", 'class_costs=["2: 0.5"]', "--iterations", 300, "--json", tmp_path / "b.json")
+    assert run(tmp_path / "a.npz", *priced) == 0
+    costs = read_plan(tmp_path / "b.json").load_scene().leaf_costs
+    assert len(costs) == len(scene.leaf_points) and set(costs.tolist()) == {0.5}
+    capsys.readouterr()
     assert run(tmp_path / "a.npz", "--set", "leaf_labels=[0,1]") == 1
     assert capsys.readouterr().err == "BAD_INPUT: leaf_labels and stem_labels share 1; a class has one meaning\n"
 

@@ -13,14 +13,16 @@ import pytest
 from arm_helpers import box_of, near_configurations, obstacles_of, pipeline_of, plant, robot_named, scan, scene_of
 from test_robot_exact import Reference
 
-from lime_planner.collision.fast import GRADED_UNIT, LEAF, NEED, SELF
+from lime_planner.collision.fast import LEAF, NEED, SELF
 from lime_planner.collision.joint_space import measure
 from lime_planner.collision.self_contact import SELF_CLEARANCE_M
 from lime_planner.collision.world import required_clearance
 from lime_planner.core.jit import kernel
 from lime_planner.pipeline.goals import MODEL_ERROR_M
 from lime_planner.pipeline.obstacles import Obstacles
+from lime_planner.planning.prices import PATCHES_PER_LEAF
 from lime_planner.planning.space import evaluate
+from lime_planner.scene.scene import Scene
 
 ARMS = ("kinova_j2s6s200", "kinova_j2n6s300")
 SCENES = ("scan", "plant")
@@ -176,6 +178,26 @@ def test_permeability_costs_multiply() -> None:
     assert 0.05 < dear.mean() < 0.95
 
 
+def test_classes_with_prices_are_charged_the_highest_or_their_sum() -> None:
+    """A cheap class beside a dear one: the dear one where both are touched (binary), both (graded)."""
+    scene = scene_named("plant")
+    rows = near_configurations(robot_named(ARMS[0]), np.random.default_rng(6), 300, np.median(scene.leaf_points, axis=0), 0.3)
+    left = scene.leaf_points[:, 1] > np.median(scene.leaf_points[:, 1])
+    points = np.concatenate([scene.leaf_points, scene.stem_points])
+    labels = np.concatenate([np.where(left, 3, 0), np.ones(len(scene.stem_points), int)])
+    priced = {
+        side: Scene.from_points(points, labels, class_costs=costs) for side, costs in (("cheap", {0: 0.0, 3: 0.2}), ("dear", {3: 0.0}))
+    }
+    both = Scene.from_points(points, labels, class_costs={3: 0.2})
+    for mode, together in (("binary", np.maximum), ("graded", np.add)):
+        cheap, dear = (measured(obstacles_of(priced[side], leaf_cost=mode), rows)[:, 2] for side in ("cheap", "dear"))
+        found = measured(obstacles_of(both, leaf_cost=mode), rows)[:, 2]
+        # Thinned to 4 mm, and graded in cells of 10 mm, points of both classes meet along the border.
+        off = np.abs(found - together(cheap, dear)) > (1e-6 if mode == "binary" else 0.05 * found + 0.05)
+        assert off.mean() < 0.04
+        assert ((cheap > 0.0) & (dear == 0.0)).sum() > 5 and ((cheap > 0.0) & (dear > 0.0)).sum() > 5
+
+
 def test_graded_intensity_grows_with_the_leaf_touched() -> None:
     scene = scene_named("plant")
     rows = near_configurations(robot_named(ARMS[0]), np.random.default_rng(5), 200, np.median(scene.leaf_points, axis=0), 0.25)
@@ -183,7 +205,7 @@ def test_graded_intensity_grows_with_the_leaf_touched() -> None:
     whole = measured(obstacles_of(scene_of(scene.stem_points, scene.leaf_points), leaf_cost="graded"), rows)[:, 2]
     part = measured(obstacles_of(half, leaf_cost="graded"), rows)[:, 2]
     # Cells on the border of two leaves change their share; beyond that less leaf is never dearer.
-    assert (part <= whole * 1.05 + 3.0 / GRADED_UNIT).all()
+    assert (part <= whole * 1.05 + 3.0 / PATCHES_PER_LEAF).all()
     assert part.sum() < 0.75 * whole.sum()
 
 

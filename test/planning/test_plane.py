@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from typing import Any
 
@@ -12,6 +13,7 @@ from hypothesis import strategies as st
 
 from lime_planner.core.errors import ProblemError, SceneError
 from lime_planner.core.jit import kernel
+from lime_planner.experiments.wall.optimum import plane_optimum
 from lime_planner.planning.rrt_star.kernels import evaluate_one
 from lime_planner.planning.space import edge, repulsion
 from lime_planner.planning.spaces.plane import PlaneWorld, load_world, random_wall, wall_g, world_from_dict
@@ -63,6 +65,15 @@ def test_thin_sheet_in_the_middle_of_an_edge_is_charged_and_blocks() -> None:
 def test_overlapping_leaves_are_charged_once() -> None:
     space = world([box(40, 0, 50, 100), box(45, 0, 55, 100), box(46, 10, 48, 90)]).space()
     assert cost(space, (10, 50), (90, 50)) == pytest.approx(80.0 + 150.0)
+
+
+def test_polygons_cost_their_price_and_the_highest_where_they_overlap() -> None:
+    sheets = [box(40, -10, 50, 110), box(45, -10, 55, 110), box(60, -10, 70, 110)]
+    priced = dataclasses.replace(world(sheets), prices=(0.5, 2.0, 0.0))
+    assert cost(priced.space(), (10, 50), (90, 50)) == pytest.approx(80.0 + 10.0 * (5 * 0.5 + 10 * 2.0))
+    assert [evaluate_one(priced.space(), np.array([x, 50.0])) for x in (42.0, 47.0, 52.0, 65.0)] == [0.5, 2.0, 2.0, 0.0]
+    straight = plane_optimum(priced, 10.0)
+    assert straight.cost == pytest.approx(80.0 + 10.0 * 22.5, rel=1e-6)
 
 
 def test_polygons_are_open_and_the_map_is_closed() -> None:
@@ -142,7 +153,7 @@ def test_repulsion_is_the_negative_gradient_of_the_potential(seed: int, x: float
 
 
 def test_worlds_go_through_their_file_unchanged(tmp_path: Any) -> None:
-    for original in (wall_g(), random_wall(3)):
+    for original in (wall_g(), random_wall(3), dataclasses.replace(wall_g(), prices=(0.5,))):
         path = tmp_path / "wall.json"
         path.write_text(json.dumps(original.to_dict()))
         assert load_world(path) == original
@@ -162,6 +173,8 @@ def test_worlds_go_through_their_file_unchanged(tmp_path: Any) -> None:
         ({"impermeable": [[[0, 0], [1, 1], ["a", 2]]]}, r"impermeable\[0\]\[2\]"),
         ({"permeable": 3}, "permeable must be a list of polygons"),
         ({"walls": []}, "unknown field 'walls'"),
+        ({"prices": [1.0, 2.0]}, "prices must be 1 numbers, one for each permeable polygon"),
+        ({"prices": [-1.0]}, "prices must be finite numbers from 0 on, got -1.0"),
         ({"start": [float("inf"), 0.0]}, "start must be finite"),
     ],
 )

@@ -64,6 +64,33 @@ def test_the_default_fruit_gives_way_and_other_labels_have_one_meaning():
         Scene.from_points(np.eye(3), [0, 1, 7], leaf_labels=[7], fruit_labels=[7])
 
 
+def test_a_third_class_with_a_price_is_permeable_and_prices_multiply():
+    points, cost = np.arange(15.0).reshape(5, 3), [1.0, 2.0, 2.0, 4.0, 1.0]
+    scene = Scene.from_points(points, [0, 0, 5, 5, 1], permeability_cost=cost, class_costs=["5: 0.25"])
+    assert scene.leaf_points[:, 0].tolist() == [0, 3, 6, 9] and scene.leaf_costs.tolist() == [1.0, 2.0, 0.5, 1.0]
+    assert scene.stem_points[:, 0].tolist() == [12] and scene.counts["unknown_label"] == 0
+    plain, dear = (Scene.from_points(points, [0, 0, 5, 5, 1], class_costs=prices) for prices in ({}, {0: 3.0, 5: 0.0}))
+    assert plain.leaf_costs.tolist() == [1.0, 1.0] and dear.leaf_costs.tolist() == [3.0, 3.0, 0.0, 0.0]
+    assert len(Scene.from_points(points, [0, 1, 2, 2, 2], class_costs={2: 0.5}).fruit_points) == 0  # the default fruit gives way
+
+
+@pytest.mark.parametrize(
+    ("rows", "words"),
+    [
+        (["5"], "'5' must be a label, a colon and a price"),
+        (["five: 1"], "'five: 1' must be a whole number and a price"),
+        (["5: nan"], "the price in '5: nan' must lie between 0 and 1e"),
+        (["5: -1"], "the price in '5: -1' must lie between"),
+        (["5: 1", "5: 2"], "label 5 has two prices, 1 and 2"),
+        (["1: 0.5"], "stem_labels and class_costs share 1; a class has one meaning"),
+        ({1.5: 1.0}, "'1.5: 1.0' must be a whole number"),
+    ],
+)
+def test_a_wrong_price_is_named(rows, words):
+    with pytest.raises(SceneError, match=words):
+        Scene.from_points(np.eye(3), [0, 1, 5], class_costs=rows)
+
+
 def test_unknown_labels_and_stakes_are_impermeable_and_counted():
     scene = Scene.from_points(np.eye(3), [0, 7, 9], ignored_labels=(9,), stake_points=[[1.0, 1.0, 1.0], [np.inf, 0.0, 0.0]])
     assert scene.leaf_points.tolist() == [[1, 0, 0]]

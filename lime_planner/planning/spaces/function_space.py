@@ -21,6 +21,7 @@ from numba.extending import intrinsic
 from lime_planner.core.errors import ProblemError
 from lime_planner.core.jit import overload
 from lime_planner.core.types import Array, Int64
+from lime_planner.planning.prices import stretch_cost
 from lime_planner.planning.space import N_EDGE_STATES, N_EDGES, N_STATES, distance, edge, evaluate, is_space, repulsion
 
 _VALID, _COST, _DISTANCE, _FIELD = range(4)
@@ -234,9 +235,9 @@ def _edge(space: Any, a: Any, b: Any, weight: Any, bound: Any) -> Any:
             if intensity < 0.0:
                 return np.inf
             leaf += intensity
-            if length + weight * length * leaf / pieces > bound:
+            if stretch_cost(length, weight, length * leaf / pieces) > bound:
                 break
-        return length + weight * length * leaf / pieces
+        return stretch_cost(length, weight, length * leaf / pieces)
 
     return implementation
 

@@ -31,6 +31,7 @@ class PlaneWorld:
         goal: x and y.
         permeable: polygons that may be crossed at a cost, each a tuple of corners (x, y); they may reach beyond the map.
         impermeable: polygons that block.
+        prices: of the permeable polygons, >= 0; empty: 1 for each.
     """
 
     name: str
@@ -40,6 +41,7 @@ class PlaneWorld:
     goal: tuple[float, float]
     permeable: tuple[Corners, ...] = ()
     impermeable: tuple[Corners, ...] = ()
+    prices: tuple[float, ...] = ()
 
     def space(self) -> PlaneSpace:
         """Return the world as a space with counters and scratch memory of its own (one for each thread)."""
@@ -52,6 +54,7 @@ class PlaneWorld:
             vertices=vertices,
             offsets=np.cumsum([0, *(len(p) for p in polygons)]).astype(np.int64),
             kinds=np.array([PERMEABLE] * len(self.permeable) + [IMPERMEABLE] * len(self.impermeable), dtype=np.uint8),
+            prices=np.array([*(self.prices or [1.0] * len(self.permeable)), *([0.0] * len(self.impermeable))]),
             boxes=np.array([[*p.min(axis=0), *p.max(axis=0)] for p in polygons]).reshape(-1, 4),
             scratch=np.empty(2 * len(vertices) + 4),
         )
@@ -65,6 +68,7 @@ class PlaneWorld:
             "goal": list(self.goal),
             "permeable": [[list(corner) for corner in polygon] for polygon in self.permeable],
             "impermeable": [[list(corner) for corner in polygon] for polygon in self.impermeable],
+            **({"prices": list(self.prices)} if self.prices else {}),
         }
 
 
@@ -89,12 +93,22 @@ def _polygons(value: Any, field: str) -> tuple[Corners, ...]:
     return tuple(polygons)
 
 
+def _prices(value: Any, count: int) -> tuple[float, ...]:
+    if not isinstance(value, Sequence) or isinstance(value, str) or len(value) not in (0, count):
+        raise SceneError(f"prices must be {count} numbers, one for each permeable polygon, got {value!r}")
+    for price in value:
+        if not isinstance(price, (int, float)) or isinstance(price, bool) or not (math.isfinite(price) and price >= 0.0):
+            raise SceneError(f"prices must be finite numbers from 0 on, got {price!r}")
+    return tuple(float(price) for price in value)
+
+
 def world_from_dict(data: Any, name: str = "wall") -> PlaneWorld:
     """Make a world from the contents of its JSON file.
 
     Args:
         data: an object with `map` {`lower` [x, y], `upper` [x, y]}, `start` [x, y], `goal` [x, y] and, both optional, `permeable`
-            and `impermeable`: lists of polygons, a polygon being a list of corners [x, y]; `name` optional.
+            and `impermeable`: lists of polygons, a polygon being a list of corners [x, y]; `prices`, one number for each permeable
+            polygon; `name` optional.
         name: used where the object has none.
 
     Raises:
@@ -102,7 +116,7 @@ def world_from_dict(data: Any, name: str = "wall") -> PlaneWorld:
     """
     if not isinstance(data, dict):
         raise SceneError(f"a wall must be a JSON object, got {type(data).__name__}")
-    known = {"name", "map", "start", "goal", "permeable", "impermeable"}
+    known = {"name", "map", "start", "goal", "permeable", "impermeable", "prices"}
     if unknown := sorted(set(data) - known):
         raise SceneError(f"unknown field {unknown[0]!r}; a wall has the fields {', '.join(sorted(known))}")
     for field in ("map", "start", "goal"):
@@ -114,14 +128,16 @@ def world_from_dict(data: Any, name: str = "wall") -> PlaneWorld:
     lower, upper = _point(bounds["lower"], "map.lower"), _point(bounds["upper"], "map.upper")
     if not (lower[0] < upper[0] and lower[1] < upper[1]):
         raise SceneError(f"map.lower {list(lower)} must be below map.upper {list(upper)} in x and in y")
+    permeable = _polygons(data.get("permeable", []), "permeable")
     world = PlaneWorld(
         name=str(data.get("name", name)),
         lower=lower,
         upper=upper,
         start=_point(data["start"], "start"),
         goal=_point(data["goal"], "goal"),
-        permeable=_polygons(data.get("permeable", []), "permeable"),
+        permeable=permeable,
         impermeable=_polygons(data.get("impermeable", []), "impermeable"),
+        prices=_prices(data.get("prices", []), len(permeable)),
     )
     check_ends(world)
     return world

@@ -1,7 +1,8 @@
 """The plane with polygonal obstacles as a space: every question answered exactly, nothing sampled.
 
-Obstacles are open polygons: a point on an outline is outside, so that shortest paths, which touch corners, exist. The leaf
-intensity is 1 inside the union of the permeable polygons; overlapping ones are charged once.
+Obstacles are open polygons: a point on an outline is outside, so that shortest paths, which touch corners, exist. A configuration
+costs the highest price of the permeable polygons that it lies in, 1 for each unless the world says otherwise; overlapping ones are
+charged once.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ import numpy.typing as npt
 
 from lime_planner.core.jit import hot_kernel, overload
 from lime_planner.core.types import Array, Int64, UInt8
+from lime_planner.planning.prices import stretch_cost
 from lime_planner.planning.space import N_EDGE_STATES, N_EDGES, N_STATES, edge, evaluate, is_space, repulsion
 
 PERMEABLE, IMPERMEABLE = 0, 1
@@ -29,6 +31,7 @@ class PlaneSpace(NamedTuple):
         vertices: corners of all polygons one after another, (V, 2).
         offsets: polygon i has the corners offsets[i] to offsets[i + 1] - 1, int64 (P + 1,).
         kinds: PERMEABLE or IMPERMEABLE for each polygon, uint8 (P,).
+        prices: price of each polygon, (P,); 0 for impermeable ones.
         boxes: smallest x, smallest y, largest x, largest y for each polygon, (P, 4).
         scratch: working memory of the edge function, (2 V + 4,).
     """
@@ -39,6 +42,7 @@ class PlaneSpace(NamedTuple):
     vertices: Array
     offsets: Int64
     kinds: UInt8
+    prices: Array
     boxes: Array
     scratch: Array
 
@@ -80,6 +84,19 @@ def inside_kind(space: Any, kind: int, x: float, y: float) -> bool:
         if _inside(space.vertices, space.offsets[p], space.offsets[p + 1], x, y):
             return True
     return False
+
+
+@hot_kernel
+def _price(space: Any, x: float, y: float) -> Any:
+    """Highest price of the permeable polygons that (x, y) lies strictly inside; 0 outside of all."""
+    price = 0.0
+    for p in range(space.kinds.shape[0]):
+        box = space.boxes[p]
+        if space.prices[p] <= price or not (box[0] < x < box[2] and box[1] < y < box[3]):
+            continue
+        if _inside(space.vertices, space.offsets[p], space.offsets[p + 1], x, y):
+            price = space.prices[p]
+    return price
 
 
 @hot_kernel
@@ -135,7 +152,7 @@ def _evaluate(space: Any, q: Any) -> Any:
             return -1.0
         if inside_kind(space, IMPERMEABLE, x, y):
             return -1.0
-        return 1.0 if inside_kind(space, PERMEABLE, x, y) else 0.0
+        return _price(space, x, y)
 
     return implementation
 
@@ -161,9 +178,8 @@ def _edge(space: Any, a: Any, b: Any, weight: Any, bound: Any) -> Any:
                 x, y = a[0] + t * dx, a[1] + t * dy
                 if inside_kind(space, IMPERMEABLE, x, y):
                     return np.inf
-                if inside_kind(space, PERMEABLE, x, y):
-                    leaf += t1 - t0
-        return length + weight * length * leaf if leaf > 0.0 else length
+                leaf += _price(space, x, y) * (t1 - t0)
+        return stretch_cost(length, weight * length, leaf) if leaf > 0.0 else length
 
     return implementation
 

@@ -162,7 +162,7 @@ class SceneSource:
     def _kept_part(self, name: str, sample: Sample, snapshot: Snapshot, should_stop: Callable[[], bool]) -> Scene:
         """Return one cloud's scene: the same object again as long as cloud and settings are the same."""
         node = snapshot.node
-        labels = Labels(node.label_field, node.leaf_labels, node.stem_labels, node.fruit_labels, node.ignored_labels)
+        labels = Labels(node.label_field, node.leaf_labels, node.stem_labels, node.fruit_labels, node.ignored_labels, node.class_costs)
         q = self._inputs.arm_at_clouds.at(name, sample.number)  # may be known better than at the last look
         key = _Key(sample.number, labels, snapshot.plan.self_filter_padding_m, None if q is None else tuple(q))
         kept = self._parts.get(name)
