@@ -36,6 +36,7 @@ def run(args: argparse.Namespace) -> int:
     from rich.progress import Progress
 
     from lime_planner.cli.plan import load_arm
+    from lime_planner.core.atomic_files import check_writable
     from lime_planner.output.animation import SUFFIXES, animate
     from lime_planner.output.console import console
     from lime_planner.output.saved_plan import read_plan
@@ -48,6 +49,7 @@ def run(args: argparse.Namespace) -> int:
         raise ParameterError(f"--width {args.width}: allowed are 120 to 3840")
     if args.out.suffix.lower() not in SUFFIXES:
         raise ParameterError(f"--out {args.out}: ends in none of {', '.join(SUFFIXES)}")
+    check_writable(args.out)
     plan = read_plan(args.plan)
     settings = settings_from(plan.parameters)
     scene = plan.load_scene(args.scene)

@@ -6,6 +6,8 @@ A command's module provides `add_arguments(parser)` and `run(args) -> exit statu
 from __future__ import annotations
 
 import argparse
+import contextlib
+import errno
 import importlib
 import os
 import re
@@ -18,8 +20,11 @@ from types import ModuleType
 from typing import Any
 
 from lime_planner import __version__
+from lime_planner.core.atomic_files import check_writable
+from lime_planner.core.cache_folder import cache_root
 from lime_planner.core.errors import LimePlannerError, Refusal, UsageError
 from lime_planner.core.status import Status
+from lime_planner.core.terminal import prepare_streams, silence
 
 _CHECKOUT = Path(__file__).resolve().parents[2]
 
@@ -76,6 +81,9 @@ _EXTRAS = {
     "viser": "viewer",
     "imageio": "viewer",
 }
+
+#: How standard output refuses what is printed: the disk or the quota is full, the device or the descriptor bad.
+_UNWRITABLE = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EBADF)
 
 _EXAMPLES = """\
 examples:
@@ -164,6 +172,8 @@ def main(argv: Sequence[str] | None = None) -> int:
 
     With `--json` the code and the sentence are there too, as `status` and `message`, unless argparse itself refuses the arguments.
     """
+    prepare_streams()
+    _give_matplotlib_a_folder()
     arguments = list(sys.argv[1:] if argv is None else argv)
     debug = "--debug" in arguments
     if not arguments:
@@ -171,8 +181,17 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 2
     args = argparse.Namespace()
     try:
-        args = build_parser(arguments).parse_args(arguments)
-        return int(args.run(args))
+        try:
+            args = build_parser(arguments).parse_args(arguments)
+            for name in ("json", "picture"):  # before minutes of work whose outcome would be lost
+                if getattr(args, name, None) not in (None, "-"):
+                    check_writable(getattr(args, name))
+            status = int(args.run(args))
+        except SystemExit:  # argparse's: help, version, wrong usage
+            sys.stdout.flush()
+            raise
+        sys.stdout.flush()
+        return status
     except LimePlannerError as error:
         if debug:
             traceback.print_exc()
@@ -187,15 +206,30 @@ def main(argv: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         _tell(args, Status.CANCELLED, "stopped by the keyboard")
         return 130
-    except BrokenPipeError:
-        # The reader of our output has gone (`| head`): nobody is left to tell.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    except BrokenPipeError:  # the reader of our output has had enough (`| head`)
+        silence(sys.stdout)
+        return 0
     except Exception as error:
         if debug:
             traceback.print_exc()
-        text = " ".join(str(error).split()) or "no text"
-        _tell(args, Status.INTERNAL_ERROR, f"{type(error).__name__}: {text} (--debug prints where)")
+        if isinstance(error, OSError) and error.filename is None and error.errno in _UNWRITABLE:
+            silence(sys.stdout)
+            sentence = f"standard output cannot be written: {error.strerror}"
+        else:
+            text = " ".join(str(error).split()) or "no text"
+            sentence = f"{type(error).__name__}: {text} (--debug prints where)"
+        _tell(args, Status.INTERNAL_ERROR, sentence)
     return 1
+
+
+def _give_matplotlib_a_folder() -> None:
+    """Keep Matplotlib from complaining, on every start, that it has no home: it gets a folder beside our caches."""
+    if "MPLCONFIGDIR" in os.environ:
+        return
+    base = Path(os.environ.get("XDG_CONFIG_HOME") or Path(os.environ.get("HOME") or "/") / ".config") / "matplotlib"
+    existing = next(parent for parent in (base, *base.parents) if parent.exists())
+    if not os.access(existing, os.W_OK):
+        os.environ["MPLCONFIGDIR"] = str(cache_root() / "matplotlib")
 
 
 def _tell(args: argparse.Namespace, status: Status, sentence: str) -> None:
@@ -203,5 +237,6 @@ def _tell(args: argparse.Namespace, status: Status, sentence: str) -> None:
     from lime_planner.cli.json_output import emit_outcome
 
     message = status.message(sentence)
-    print(message, file=sys.stderr)
+    with contextlib.suppress(OSError):  # standard error may be full or gone, too
+        print(message, file=sys.stderr)
     emit_outcome(args, status.name, message)

@@ -68,7 +68,9 @@ def run(args: argparse.Namespace) -> int:
     if args.bag is None and importlib.util.find_spec("rclpy") is None:
         raise ModuleNotFoundError("live topics need ROS 2", name="rclpy")
     from lime_planner.cli.plan import load_arm
+    from lime_planner.core.atomic_files import check_writable
 
+    check_writable(args.out)
     robot = load_arm(settings)
     take = _from_bag if args.bag is not None else _live
     scene, start, heard, missing = take(args, values, settings, robot, simulated)

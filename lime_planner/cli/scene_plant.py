@@ -37,6 +37,7 @@ def run(args: argparse.Namespace) -> int:
     import numpy as np
 
     from lime_planner.cli.json_output import emit_json, is_stdout
+    from lime_planner.core.atomic_files import check_writable
     from lime_planner.output.progress import working
     from lime_planner.scene.plants.generator import PlantOptions, generate_plant
 
@@ -52,6 +53,7 @@ def run(args: argparse.Namespace) -> int:
         from lime_planner.core.errors import ParameterError
 
         raise ParameterError(f"--seed is {args.seed}; it must be at least 0")
+    check_writable(args.out)
     with working("growing"):
         scene = generate_plant(np.random.default_rng(args.seed), options)
         scene.save(args.out)

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lime_planner.core.kernel_cache import cache_root
+from lime_planner.core.cache_folder import cache_root
 from lime_planner.core.types import Array, Float32, Int64
 from lime_planner.robot.meshes import LinkMesh
 

@@ -20,7 +20,7 @@ import numpy as np
 import scipy.ndimage
 from scipy.spatial import cKDTree
 
-from lime_planner.core.kernel_cache import cache_root
+from lime_planner.core.cache_folder import cache_root
 from lime_planner.core.types import Array, Float32, Int32, Int64
 from lime_planner.robot.kinematics import Chain
 from lime_planner.robot.model import LinkMesh, Robot

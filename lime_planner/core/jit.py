@@ -8,7 +8,11 @@ from typing import Any, TypeVar
 import numba
 import numba.extending
 
+from lime_planner.core.errors import LimePlannerError
 from lime_planner.core.kernel_cache import kernel_cache
+
+if numba.config.DISABLE_JIT:
+    raise LimePlannerError("NUMBA_DISABLE_JIT is set, and without the compiler nothing can be planned: unset it")
 
 F = TypeVar("F", bound=Callable[..., Any])
 

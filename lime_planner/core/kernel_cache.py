@@ -11,11 +11,9 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
-import os
 import re
 import shutil
 import sys
-import tempfile
 from collections.abc import Callable, Iterator
 from functools import cache
 from pathlib import Path
@@ -25,34 +23,14 @@ from typing import Any
 import numba
 from numba.core import caching
 
+from lime_planner.core.cache_folder import cache_root
+
 _PACKAGE = Path(__file__).resolve().parents[1]
 #: Folders that hold kernels: the package, and in a checkout what measures it.
 _SOURCES = (_PACKAGE, _PACKAGE.parent / "benchmarks")
 _PROTOCOL = "lime_planner.planning.space"
 _KEPT_VERSIONS = 3  # of one file's kernels: two checkouts, or a version and the one before, may share a user's cache
 _IMPORT = re.compile(r"^[ \t]*(?:from[ \t]+([\w.]+)[ \t]+import[ \t]+(\([^)]*\)|[^\n(]+)|import[ \t]+([\w., ]+))", re.MULTILINE)
-
-
-def cache_root() -> Path:
-    """Return the folder below which the package may write caches.
-
-    `LIME_PLANNER_CACHE_DIR` if set, else `$XDG_CACHE_HOME/lime_planner`, else `~/.cache/lime_planner`; a private folder of the
-    system's temporary directory where that cannot be written (a service account without a home).
-    """
-    named = os.environ.get("LIME_PLANNER_CACHE_DIR")
-    if named:
-        root = Path(named)
-    else:
-        root = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "lime_planner"
-    try:
-        root.mkdir(parents=True, exist_ok=True)
-        if os.access(root, os.W_OK):
-            return root
-    except OSError:
-        pass
-    root = Path(tempfile.gettempdir()) / f"lime_planner-{os.getuid()}"
-    root.mkdir(mode=0o700, parents=True, exist_ok=True)
-    return root
 
 
 @cache

@@ -10,6 +10,7 @@ from collections.abc import Iterator, Mapping
 from importlib import resources, util
 from pathlib import Path
 
+from lime_planner.core.cache_folder import find_cache_folder
 from lime_planner.doctor.findings import Finding, fault, ok, warning
 
 _PYTHONS = ((3, 11), (3, 12))
@@ -25,7 +26,7 @@ _RANGES = ("SUBNET", "LOCALHOST", "OFF", "SYSTEM_DEFAULT")
 
 def machine_findings(environ: Mapping[str, str] = os.environ) -> list[Finding]:
     """Check the machine itself."""
-    return [_python(), _cache(environ)]
+    return [_python(), _compiler(environ), _cache(environ)]
 
 
 def environment_findings(environ: Mapping[str, str] = os.environ) -> list[Finding]:
@@ -40,37 +41,32 @@ def _python() -> Finding:
     return ok("python", f"{version} in {sys.prefix}")
 
 
+def _compiler(environ: Mapping[str, str]) -> Finding:
+    if environ.get("NUMBA_DISABLE_JIT", "0") not in ("", "0"):
+        return fault(
+            "compiler", f"NUMBA_DISABLE_JIT is {environ['NUMBA_DISABLE_JIT']!r}: nothing can be planned", "unset NUMBA_DISABLE_JIT"
+        )
+    return ok("compiler", "Numba's, switched on")
+
+
 def _cache(environ: Mapping[str, str]) -> Finding:
-    """Check the folder of compiled kernels without importing the compiler (it would make the folder)."""
-    named = environ.get("LIME_PLANNER_CACHE_DIR")
-    base = environ.get("XDG_CACHE_HOME") or str(Path(environ.get("HOME") or Path.home()) / ".cache")
-    folder = Path(named) if named else Path(base) / "lime_planner"
-    trouble = _why_not_writable(folder)
-    if trouble:
-        cure = "make it writable, or name another folder in LIME_PLANNER_CACHE_DIR"
-        return fault("kernel cache", f"{folder} cannot be written ({trouble}): every start compiles for a minute", cure)
-    free = shutil.disk_usage(_existing(folder)).free
+    """Check the folder of compiled kernels."""
+    found, name = find_cache_folder(environ), "kernel cache"
+    free = shutil.disk_usage(found.path).free
+    kernels = sum(1 for _ in found.path.glob("kernels/*/*.nbc"))
+    if not found.lasting:
+        found.path.rmdir()
+    if found.trouble:
+        cure = "name a folder of your own in LIME_PLANNER_CACHE_DIR"
+        what = f"{found.wanted or 'the usual folder'} is not used ({found.trouble})"
+        if not found.lasting:
+            return warning(name, f"{what}, nor any that lasts: every start compiles for a minute", cure)
+        return warning(name, f"{what}, but {found.path}, which the next start of the machine may empty", cure)
     if free < _KERNELS_BYTES:
-        cure = "make room, or name a folder elsewhere in LIME_PLANNER_CACHE_DIR"
-        return warning("kernel cache", f"only {free / 1e6:.0f} MB are free in {folder}", cure)
-    kernels = sum(1 for _ in folder.glob("kernels/*/*.nbc"))
-    return ok("kernel cache", f"{folder}, {kernels} compiled kernels" if kernels else f"{folder}, empty: the first plan takes a minute")
-
-
-def _existing(folder: Path) -> Path:
-    return next(parent for parent in (folder, *folder.parents) if parent.exists())
-
-
-def _why_not_writable(folder: Path) -> str:
-    # A file is written, since permission bits do not tell about read-only file systems, quotas, and root.
-    probe = folder / f".doctor-{os.getpid()}"
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        probe.write_bytes(b"x")
-        probe.unlink()
-    except OSError as error:
-        return error.strerror or str(error)
-    return ""
+        return warning(
+            name, f"only {free / 1e6:.0f} MB are free in {found.path}", "make room, or name a folder elsewhere in LIME_PLANNER_CACHE_DIR"
+        )
+    return ok(name, f"{found.path}, {kernels} compiled kernels" if kernels else f"{found.path}, empty: the first plan takes a minute")
 
 
 def _domain(environ: Mapping[str, str]) -> Finding:

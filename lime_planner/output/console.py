@@ -16,11 +16,17 @@ __all__ = ["ROWS", "cell", "console", "headline", "print_plans", "warn", "write_
 
 
 def console(*, error: bool = False) -> Console:
-    """Return a console of at most 80 columns."""
+    """Return a console of at most 80 columns, fewer where the terminal (or COLUMNS) has fewer."""
     from rich.console import Console
 
-    plain = Console(stderr=error, highlight=False)
-    return Console(stderr=error, highlight=False, width=min(80, plain.width))
+    class OwnConsole(Console):
+        """One whose reader may leave: rich would end the program with 1."""
+
+        def on_broken_pipe(self) -> None:
+            raise BrokenPipeError
+
+    plain = OwnConsole(stderr=error, highlight=False)
+    return OwnConsole(stderr=error, highlight=False, width=min(80, plain.width))
 
 
 def warn(sentence: str) -> None:

@@ -107,12 +107,20 @@ def test_a_library_that_is_missing_or_too_old(doctor: Doctor, monkeypatch: pytes
     assert_named(findings, "rich", "needed is >=999")
 
 
-def test_a_cache_that_cannot_be_written(doctor: Doctor, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_a_cache_that_cannot_be_written_is_no_fault(doctor: Doctor, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     monkeypatch.setenv("LIME_PLANNER_CACHE_DIR", str(tmp_path / "file" / "cache"))
     code, findings = doctor("--only", "machine")
+    assert (code, findings["kernel cache"]["level"]) == (0, "warning")
+    assert_named(findings, "kernel cache", f"{tmp_path}/file/cache is not used (Not a directory), but {tmp_path}/lime_planner-")
+
+
+def test_a_compiler_that_is_switched_off(doctor: Doctor, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("NUMBA_DISABLE_JIT", "1")
+    code, findings = doctor("--only", "machine")
     assert code == 1
-    assert_named(findings, "kernel cache", "cannot be written", str(tmp_path))
+    assert_named(findings, "compiler", "NUMBA_DISABLE_JIT is set")
 
 
 @pytest.mark.parametrize(

@@ -7,6 +7,7 @@ import math
 import tempfile
 from pathlib import Path
 
+from lime_planner.core import atomic_files
 from lime_planner.core.errors import ParameterError
 
 
@@ -39,7 +40,7 @@ def make_folder(path: Path) -> None:
         ParameterError: it names the folder and the reason.
     """
     try:
-        path.mkdir(parents=True, exist_ok=True)
+        atomic_files.make_folder(path)
         with tempfile.TemporaryFile(dir=path):
             pass
     except OSError as error:

@@ -13,6 +13,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from lime_planner.core.atomic_files import make_folder
 from lime_planner.core.errors import ParameterError
 from lime_planner.core.parameters import PARAMETERS, parse_assignment, settings_from
 from lime_planner.core.status import Status
@@ -86,7 +87,10 @@ def run(args: argparse.Namespace) -> int:
 
     clock.say("reading the scene" if args.scene else "growing a lime plant")
     scene = scene_of(args)
-    args.out.mkdir(parents=True, exist_ok=True)
+    try:
+        make_folder(args.out)
+    except OSError as error:
+        raise ParameterError(f"--out {args.out}: cannot be made ({error.strerror or error})") from error
     corner = Corner.own()
     arm = {"robot": settings.robot, "controller": args.controller}
     with quick_end(), Processes(corner, args.out / "logs") as nodes:

@@ -19,6 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
+from lime_planner.core.atomic_files import make_folder
 from lime_planner.core.errors import SceneError
 from lime_planner.core.types import Array, Int64
 from lime_planner.scene.scene import Scene
@@ -74,7 +75,7 @@ def convert(archive: str | os.PathLike[str], directory: str | os.PathLike[str]) 
     scans: list[Path] = []
     licence: Path | None = None
     try:
-        directory.mkdir(parents=True, exist_ok=True)
+        make_folder(directory)
         with tarfile.open(archive, "r:gz") as tar:
             for member in tar:
                 scan = _SCAN.fullmatch(member.name)
