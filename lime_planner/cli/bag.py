@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 def add_bag(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    parser.add_argument("--bag", type=Path, metavar="BAG", help="a recording (rosbag2 folder: sqlite3 or MCAP)")
+    parser.add_argument("--bag", type=Path, metavar="BAG", help="a recording (rosbag2 folder, .mcap, .db3)")
     parser.add_argument("--at", type=float, metavar="S", help="moment of the recording, from its beginning [s] (default: its end)")
 
 
@@ -25,7 +25,7 @@ def read_bag(
 
     Args:
         path: the recording.
-        values: parameters that were set; the labels' are used.
+        values: parameters that were set; those of the labels and of a moving base are used.
         robot: the arm, whose own points are removed.
         padding_m: how close to the arm these are.
         topics: topics by input, where they were given.
@@ -35,7 +35,7 @@ def read_bag(
         SceneError: see `read_recording`.
         ParameterError: two classes share a label.
     """
-    from lime_planner.cli.plan import label_options
+    from lime_planner.cli.plan import OF_RECORDINGS, label_options
     from lime_planner.collision.arm_filter_live import make_arm_filter
     from lime_planner.scene.from_clouds import Labels
     from lime_planner.scene.from_recording import Frame, read_recording
@@ -43,5 +43,6 @@ def read_bag(
     of = label_options(values)
     classes = (tuple(of[name]) for name in ("leaf_labels", "stem_labels", "fruit_labels", "ignored_labels", "class_costs"))
     labels = Labels(of["label_field"], *classes)
-    frame = Frame(robot.planning_frame, robot.joint_names, make_arm_filter(robot), padding_m)
+    moving = {name: values[name] for name in OF_RECORDINGS if name in values}
+    frame = Frame(robot.planning_frame, robot.joint_names, make_arm_filter(robot), padding_m, **moving)
     return read_recording(path, frame, topics=topics, at_s=at_s, labels=labels)

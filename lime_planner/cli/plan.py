@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 
 #: The node's parameters that say how a file's labels are read.
 _OF_FILES = ("label_field", "leaf_labels", "stem_labels", "fruit_labels", "ignored_labels", "class_costs")
+#: And how a base that moves is taken: recordings know of it.
+OF_RECORDINGS = ("fixed_frame", "max_base_motion_m")
 
 _EPILOG = """\
 SCENE is an .npz with points (N, 3) [m] and labels (0 leaf, 1 stem, 2 fruit), or
@@ -127,7 +129,8 @@ def read_parameters(args: argparse.Namespace) -> dict[str, Any]:
             values[name] = getattr(args, name)
     if args.time is not None:
         values["time_budget_s"], values["iterations"] = args.time, 0
-    idle = [name for name in values if name in NODE_PARAMETERS and name not in _OF_FILES]
+    used = (*_OF_FILES, *(OF_RECORDINGS if getattr(args, "bag", None) is not None else ()))
+    idle = [name for name in values if name in NODE_PARAMETERS and name not in used]
     if idle:
         raise ParameterError(f"{', '.join(idle)}: only the node has a use for this parameter")
     return values

@@ -5,6 +5,8 @@ from __future__ import annotations
 import dataclasses
 from functools import partial
 
+import numpy as np
+
 from lime_planner.collision.arm_filter import ArmSurface
 from lime_planner.core.types import Array
 from lime_planner.robot.model import Robot
@@ -20,8 +22,9 @@ def make_arm_filter(robot: Robot) -> ArmFilter:
     """Return the filter for one arm."""
     surface = ArmSurface(robot)
 
-    def remove(scene: Scene, q: Array | None, padding_m: float) -> Scene:
-        scene = clean_scene(scene, reach_m=robot.reach_m + _BEYOND_REACH_M)
+    def remove(scene: Scene, q: Array | None, padding_m: float, /, *, base_position: Array | None = None) -> Scene:
+        centre = np.zeros(3) if base_position is None else base_position
+        scene = clean_scene(scene, reach_m=robot.reach_m + _BEYOND_REACH_M, base_position=centre)
         if q is None:
             # Taken before the first joint state: where the arm was is unknown. Its points stay, as obstacles.
             return dataclasses.replace(scene, counts={**scene.counts, "arm_not_removed": scene.n_points})

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,14 +11,14 @@ from types import TracebackType
 from typing import Any
 
 from lime_planner.core.errors import ProblemError, SceneError
-from lime_planner.core.geometry import pose_to_matrix
-from lime_planner.core.transforms import TransformTree
+from lime_planner.core.transform_history import TransformHistory
 
 CLOUD = "sensor_msgs/msg/PointCloud2"
 POSE = "geometry_msgs/msg/PoseStamped"
 JOINTS = "sensor_msgs/msg/JointState"
 _TF = "tf2_msgs/msg/TFMessage"
 _TF_TOPICS = ("/tf_static", "/tf")
+_STORAGE = (".db3", ".mcap")
 
 _NS = 1_000_000_000
 _FIRST_WINDOW_NS = _NS  #: how far back is looked first; clouds come more often than that
@@ -45,7 +46,7 @@ class Recording:
         """Name the recording.
 
         Args:
-            path: the folder that `ros2 bag record` made, a file in it, or a ROS 1 bag.
+            path: the folder that `ros2 bag record` made, a file in it or from it (.mcap, .db3), or a ROS 1 bag.
         """
         self.path = path
         self._reader: Any = None
@@ -62,10 +63,10 @@ class Recording:
         path = self.path
         if not path.exists():
             raise SceneError(f"{path}: there is no such recording")
-        if path.suffix in (".db3", ".mcap"):
-            path = path.parent
+        if path.suffix in _STORAGE and (path.parent / "metadata.yaml").is_file():
+            path = path.parent  # a recording may be split into several files
         if path.is_dir() and not (path / "metadata.yaml").is_file():
-            raise SceneError(f"{self.path}: has no metadata.yaml beside it; name the folder that `ros2 bag record` made")
+            raise SceneError(_without_metadata(path))
         with self._readable():
             # Recordings of older distributions do not hold the definitions of their messages.
             self._reader = AnyReader([path], default_typestore=get_typestore(Stores.ROS2_JAZZY))
@@ -151,23 +152,37 @@ class Recording:
             raw = list(self._reader.messages(connections, start=since, stop=until + 1)) if until >= since else []
         for connection, time_ns, content in reversed(raw):
             with self._readable():
-                msg = self._reader.deserialize(content, connection.msgtype)
+                msg = self._decoded(content, connection.msgtype)
             yield Recorded(connection.topic, (time_ns - begin) / _NS, msg)
 
-    def transforms(self, at_s: float) -> TransformTree:
-        """Return the transforms of `/tf_static` and `/tf` as they were at a time; broken ones are left out."""
-        tree = TransformTree()
+    def transforms(self, until_s: float, since_s: float = 0.0) -> TransformHistory:
+        """Return the transforms of `/tf` recorded in a span of time, and all of `/tf_static`; broken ones are left out."""
+        history = TransformHistory(keep_s=math.inf)
         begin = int(self._reader.start_time)
-        until = begin + round(at_s * _NS) + 1
         for topic in _TF_TOPICS:
             connections = [c for c in self._reader.connections if c.topic == topic and c.msgtype == _TF]
+            static = topic == _TF_TOPICS[0]
             # Static transforms hold for all time, also where the recorder got them late.
-            stop = None if topic == _TF_TOPICS[0] else until
+            span = {} if static else {"start": begin + round(since_s * _NS), "stop": begin + round(until_s * _NS) + 1}
             with self._readable():
-                for connection, _, raw in self._reader.messages(connections, stop=stop) if connections else ():
-                    for stamped in self._reader.deserialize(raw, connection.msgtype).transforms:
-                        _add(tree, stamped)
-        return tree
+                for connection, time_ns, raw in self._reader.messages(connections, **span) if connections else ():
+                    for stamped in self._decoded(raw, connection.msgtype).transforms:
+                        _add(history, stamped, time_ns / _NS, static)
+        return history
+
+    def _decoded(self, raw: bytes, kind: str) -> Any:
+        """Decode a message; what its writer left behind it does not count (rclpy pads with whatever was in its memory)."""
+        from rosbags.highlevel import AnyReaderError
+
+        try:
+            return self._reader.deserialize(raw, kind)
+        except AnyReaderError:
+            if not self._reader.is2 or len(raw) < 4:
+                raise
+            definition = self._reader.typestore.get_msgdef(kind)
+            decode = definition.deserialize_cdr_le if raw[1] else definition.deserialize_cdr_be
+            msg, _ = decode(raw[4:], 0, definition.cls, self._reader.typestore)
+            return msg
 
     def _connections(self, topic: str, kind: str) -> list[Any]:
         of_topic = [c for c in self._reader.connections if c.topic == topic]
@@ -187,10 +202,24 @@ class Recording:
             yield
         except Exception as error:  # damaged files make sqlite, lz4, YAML and struct raise a dozen kinds
             text = " ".join(str(error).split())
-            raise SceneError(f"{self.path}: is not a readable recording ({type(error).__name__}: {text})") from error
+            advice = "; where a recorder was cut off, `mcap recover FILE` mends it" if self.path.suffix == ".mcap" else ""
+            raise SceneError(f"{self.path}: is not a readable recording ({type(error).__name__}: {text}){advice}") from error
 
 
-def _add(tree: TransformTree, stamped: Any) -> None:
-    t, r = stamped.transform.translation, stamped.transform.rotation
+def _without_metadata(path: Path) -> str:
+    """Say what to do with a folder that its recorder did not finish."""
+    files = sorted(file.name for file in path.iterdir() if file.suffix in _STORAGE)
+    if not files:
+        return f"{path}: has no metadata.yaml, and no .mcap or .db3 either; name the folder that `ros2 bag record` made"
+    return (
+        f"{path}: has no metadata.yaml, as after a crash of its recorder: `ros2 bag reindex {path}` writes it anew, "
+        f"or name one file alone: {', '.join(files[:5])}"
+    )
+
+
+def _add(history: TransformHistory, stamped: Any, recorded_s: float, static: bool) -> None:
+    t, r, stamp = stamped.transform.translation, stamped.transform.rotation, stamped.header.stamp
+    stamp_s = float(stamp.sec) + float(stamp.nanosec) * 1e-9
     with contextlib.suppress(ProblemError):
-        tree.add(stamped.header.frame_id, stamped.child_frame_id, pose_to_matrix([t.x, t.y, t.z, r.x, r.y, r.z, r.w]))
+        pose = [t.x, t.y, t.z, r.x, r.y, r.z, r.w]
+        history.add(stamped.header.frame_id, stamped.child_frame_id, pose, stamp_s if stamp_s > 0.0 else recorded_s, static=static)

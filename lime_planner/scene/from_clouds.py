@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -19,8 +19,21 @@ Points = npt.NDArray[np.floating]
 #: Inputs that carry points, in the order in which they are reported.
 CLOUDS = ("leaf_cloud", "stem_cloud", "labelled_cloud")
 
-#: Removes the arm from a scene: (scene, configuration at the cloud's stamp or None, padding [m]) -> scene.
-ArmFilter = Callable[[Scene, Array | None, float], Scene]
+
+class ArmFilter(Protocol):
+    """Crops a scene to the arm's reach, and removes the arm from it."""
+
+    def __call__(self, scene: Scene, q: Array | None, padding_m: float, /, *, base_position: Array | None = None) -> Scene:
+        """Return the scene without the arm.
+
+        Args:
+            scene: in the planning frame where that was at the cloud's stamp.
+            q: (n,) configuration at the cloud's stamp [rad]; None where that is not known.
+            padding_m: points this close to the arm are its own.
+            base_position: (3,) where the planning frame has moved to since [m]: what is in reach from there is kept.
+        """
+        ...
+
 
 _BLOCK = 65_536  #: points that are moved at a time: they stay in the processor's cache
 
@@ -102,6 +115,27 @@ def scene_of_cloud(
         raise SceneError(f"{topic}: {error}") from None
     between()
     return scene
+
+
+def unfiltered(scene: Scene, q: Array | None, padding_m: float, /, *, base_position: Array | None = None) -> Scene:
+    """Leave a scene as it is: the filter of no arm."""
+    return scene
+
+
+def without_arm(scene: Scene, arm_filter: ArmFilter, q: Array | None, padding_m: float, T_now_then: Array | None) -> Scene:
+    """Remove the arm from a scene, and bring that to where the planning frame is now.
+
+    Args:
+        scene: in the planning frame where that was at the cloud's stamp.
+        arm_filter: see there.
+        q: (n,) configuration at the cloud's stamp [rad]; None where that is not known.
+        padding_m: points this close to the arm are its own.
+        T_now_then: (4, 4) of the planning frame of the cloud's stamp in that of now; None where it has not moved.
+    """
+    if T_now_then is None:
+        return arm_filter(scene, q, padding_m)
+    there = arm_filter(scene, q, padding_m, base_position=np.asarray(np.linalg.inv(T_now_then)[:3, 3], dtype=np.float64))
+    return there.transformed(T_now_then)
 
 
 def moved(points: Points, T: Array) -> Float32:

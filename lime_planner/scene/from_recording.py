@@ -6,19 +6,22 @@ import bisect
 import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from lime_planner.core.base_motion import motion_since, seen_at_stamp
 from lime_planner.core.errors import ProblemError, Refusal, SceneError
 from lime_planner.core.geometry import matrix_to_pose, pose_to_matrix
 from lime_planner.core.status import Status
-from lime_planner.core.transforms import TransformTree, clean_name
+from lime_planner.core.transform_history import TF_HISTORY_S, NoTransform, TransformHistory
+from lime_planner.core.transforms import clean_name
 from lime_planner.core.types import Array
 from lime_planner.scene.bag import CLOUD, JOINTS, POSE, Recorded, Recording
 from lime_planner.scene.files import Start
-from lime_planner.scene.from_clouds import CLOUDS, ArmFilter, Labels, belonging_together, scene_of_cloud
+from lime_planner.scene.from_clouds import CLOUDS, ArmFilter, Labels, belonging_together, scene_of_cloud, without_arm
 from lime_planner.scene.scene import Scene, merged
 
 #: The inputs of the planner that a recording may hold, and their types.
@@ -44,12 +47,16 @@ class Frame:
         joint_names: the arm's joints, in its order.
         arm_filter: removes the arm's own points.
         padding_m: how close to the arm these are.
+        fixed_frame: the frame in which clouds and target stay while the base moves; empty: the planning frame.
+        max_base_motion_m: how far the base may have moved since a stamp without one [m].
     """
 
     planning_frame: str
     joint_names: Sequence[str]
     arm_filter: ArmFilter
     padding_m: float
+    fixed_frame: str = ""
+    max_base_motion_m: float = 0.01
 
 
 @dataclass(frozen=True)
@@ -81,7 +88,8 @@ def read_recording(
 
     Raises:
         SceneError: the recording cannot be read; a topic is missing, of another type, or comes later; a message cannot be used.
-        Refusal: TF_ERROR, a message is in a frame from which no recorded transform leads to the planning frame.
+        Refusal: TF_ERROR, a message is in a frame from which no recorded transform leads to the planning frame; STALE_INPUT, the
+            base has moved since a stamp.
     """
     given = dict(topics or {})
     with Recording(path) as recording:
@@ -113,7 +121,7 @@ class _Reader:
             self._topics.pop("labelled_cloud", None)  # what was asked for by name wins
         elif "labelled_cloud" in topics:
             self._topics = {name: topic for name, topic in self._topics.items() if name not in ("leaf_cloud", "stem_cloud")}
-        self._transforms: TransformTree | None = None
+        self._histories: dict[tuple[float, float], TransformHistory] = {}
         self.heard: dict[str, float] = {}
 
     def newest(self, name: str) -> Recorded | None:
@@ -153,24 +161,20 @@ class _Reader:
 
     def pose(self, recorded: Recorded) -> Array:
         """Return a target x y z qx qy qz qw in the planning frame."""
-        header, p, o = recorded.msg.header, recorded.msg.pose.position, recorded.msg.pose.orientation
+        p, o = recorded.msg.pose.position, recorded.msg.pose.orientation
         try:
             T_frame_tool = pose_to_matrix([p.x, p.y, p.z, o.x, o.y, o.z, o.w])
         except ProblemError as error:
             raise SceneError(f"{recorded.topic} cannot be used: {error}") from None
-        return matrix_to_pose(self._transform(header.frame_id, recorded.topic) @ T_frame_tool)
+        T_planning_data, T_now_then = self._place(recorded)
+        T = T_planning_data @ T_frame_tool
+        return matrix_to_pose(T if T_now_then is None else T_now_then @ T)
 
     def _part(self, name: str, recorded: Recorded) -> Scene:
         frame = self._frame
-        scene = scene_of_cloud(
-            recorded.msg,
-            name,
-            self._labels,
-            frame.planning_frame,
-            lambda header: self._transform(header.frame_id, recorded.topic),
-            topic=recorded.topic,
-        )
-        return frame.arm_filter(scene, self._arm_at(recorded), frame.padding_m)
+        T_planning_data, T_now_then = self._place(recorded)
+        scene = scene_of_cloud(recorded.msg, name, self._labels, frame.planning_frame, lambda _: T_planning_data, topic=recorded.topic)
+        return without_arm(scene, frame.arm_filter, self._arm_at(recorded), frame.padding_m, T_now_then)
 
     def _arm_at(self, cloud: Recorded) -> Array | None:
         """Return where the arm was at a cloud's stamp, interpolated; None where its recorded states do not reach back to it."""
@@ -197,21 +201,35 @@ class _Reader:
         step = np.where(np.abs(step) > np.pi, np.remainder(step + np.pi, 2.0 * np.pi) - np.pi, step)
         return np.asarray(q_before + share * step)
 
-    def _transform(self, frame_id: str, topic: str) -> Array:
-        source, target = clean_name(frame_id), self._frame.planning_frame
+    def _place(self, recorded: Recorded) -> tuple[Array, Array | None]:
+        """Return where a message's frame was at its stamp, T_planning_data, and where the planning frame went since, T_now_then."""
+        source, target, topic = clean_name(recorded.msg.header.frame_id), self._frame.planning_frame, recorded.topic
         if not source:
             raise SceneError(f"{topic} has an empty frame_id; it must name the frame of its data")
-        if source == target:
-            return np.eye(4)
-        if self._transforms is None:
-            self._transforms = self._recording.transforms(self._at_s)
-        T = self._transforms.find(target, source)
-        if T is None:
-            known = ", ".join(self._transforms.frames) or "none"
-            raise Refusal(
-                Status.TF_ERROR, f"{topic}: no transform from {source!r} to {target!r} in the recording; /tf_static and /tf know: {known}"
-            )
-        return T
+        stamp_s = _stamp_s(recorded.msg.header)
+        # A transform may come after the data that it belongs to; data without a stamp takes what was known when it came.
+        until_s = max(self._at_s, recorded.at_s + _SETTLING_S) if stamp_s > 0.0 else recorded.at_s
+        error: NoTransform | None = None
+        for since_s in (max(recorded.at_s - TF_HISTORY_S, 0.0), 0.0):  # all of a long recording only where there is need
+            then, now = self._history(since_s, until_s), self._history(since_s, self._at_s)
+            try:
+                seen = seen_at_stamp(
+                    partial(then.find, stamp_s=stamp_s, clamp=True),
+                    target,
+                    source,
+                    self._frame.fixed_frame,
+                    now.anchor(target, source),
+                )
+                return seen.T_planning_data, motion_since(seen, now.find, target, topic, self._frame.max_base_motion_m)
+            except NoTransform as found:
+                error = found
+        raise Refusal(Status.TF_ERROR, f"{topic}: no transform from {source!r} to {target!r} in the recording: {error}")
+
+    def _history(self, since_s: float, until_s: float) -> TransformHistory:
+        key = (since_s, until_s)
+        if key not in self._histories:
+            self._histories[key] = self._recording.transforms(until_s, since_s)
+        return self._histories[key]
 
 
 def _stamp_s(header: Any) -> float:

@@ -12,9 +12,10 @@ import numpy.typing as npt
 
 from lime_planner.core.errors import ParameterError, SceneError
 from lime_planner.core.types import Array, Float32, Int32, UInt8
-from lime_planner.scene.arrays import any_of, column, finite_rows, frozen, numbers, points_of, whole_labels
+from lime_planner.scene.arrays import any_of, column, finite_rows, frozen, points_of, whole_labels
 from lime_planner.scene.files import Start, read_members, write_members
 from lime_planner.scene.labels import ClassCosts, class_prices, fruit_in_force, point_prices
+from lime_planner.scene.moving import MOVED, SCALED, carried, placed
 
 #: Labels of the points in scene files and clouds; every other label is impermeable.
 LEAF, STEM, FRUIT = 0, 1, 2
@@ -28,9 +29,6 @@ FRUIT_RADIUS_M = 0.03  #: what is let go of such a cluster: its points this clos
 
 _TRUTH = ("leaf_triangles", "leaf_triangle_ids", "fruit_centres", "fruit_radii")
 _DISPLACEMENTS = ("stem_displacement_m", "leaf_displacement_m")
-#: What moves and grows with the points, and what only grows.
-_MOVED = ("points", "leaf_points", "stem_points", "fruit_points", "stake_points", "leaf_triangles", "fruit_centres", "target_pose")
-_SCALED = ("fruit_radii", *_DISPLACEMENTS)
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
@@ -141,7 +139,7 @@ class Scene:
         members = read_members(path, label_field)
         frame = str(members.pop("frame_id", "")) or frame_id
         try:
-            members = _placed(members, scale, (0.0, 0.0, 0.0) if offset is None else offset)
+            members = placed(members, scale, (0.0, 0.0, 0.0) if offset is None else offset)
             scene = cls.from_points(
                 members.pop("points"),
                 members.pop("labels"),
@@ -304,8 +302,13 @@ class Scene:
         Raises:
             SceneError: the scale is not above zero, or a number is not finite.
         """
-        arrays = {name: value for name in (*_MOVED, *_SCALED) if (value := getattr(self, name, None)) is not None}
-        return dataclasses.replace(self, **_placed(arrays, scale, offset_xyz))
+        arrays = {name: value for name in (*MOVED, *SCALED) if (value := getattr(self, name, None)) is not None}
+        return dataclasses.replace(self, **placed(arrays, scale, offset_xyz))
+
+    def transformed(self, T: npt.ArrayLike) -> Scene:
+        """Return the scene carried along by a rigid motion T (4, 4) [m], with its target and its ground truth, in the same frame."""
+        arrays = {name: value for name in MOVED if (value := getattr(self, name, None)) is not None}
+        return dataclasses.replace(self, **carried(arrays, T))
 
 
 def merged(parts: Sequence[Scene], frame_id: str) -> Scene:
@@ -324,23 +327,3 @@ def merged(parts: Sequence[Scene], frame_id: str) -> Scene:
         stem_displacement_m=max((part.stem_displacement_m for part in parts), default=0.0),
         leaf_displacement_m=max((part.leaf_displacement_m for part in parts), default=0.0),
     )
-
-
-def _placed(arrays: Mapping[str, Any], scale: float, offset_xyz: npt.ArrayLike) -> dict[str, Any]:
-    """Return a scene's arrays, by name, enlarged about the origin and then moved, in double precision; the others as they are."""
-    offset = frozen("offset", offset_xyz, np.float64, (3,))
-    if not (np.isfinite(scale) and scale > 0.0):
-        raise SceneError(f"scale: {scale} is not a finite number above 0")
-    placed = dict(arrays)
-    if scale == 1.0 and not offset.any():
-        return placed
-    for name in (name for name in _MOVED if name in arrays):
-        value = np.array(numbers(name, arrays[name]), dtype=np.float64)
-        if value.shape[-1:] != ((7,) if name == "target_pose" else (3,)):
-            continue  # `Scene` refuses it with its shape
-        value[..., :3] *= scale
-        value[..., :3] += offset
-        placed[name] = value
-    for name in (name for name in _SCALED if name in arrays):
-        placed[name] = numbers(name, arrays[name]) * scale
-    return placed

@@ -219,8 +219,8 @@ def test_what_is_no_recording(tmp_path: Path) -> None:
     (tmp_path / "plan.mcap").write_bytes(b"")
     for path, words in (
         (tmp_path / "none", "no such recording"),
-        (tmp_path / "empty", "has no metadata.yaml beside it"),
-        (tmp_path / "plan.mcap", "has no metadata.yaml beside it"),
+        (tmp_path / "empty", "has no metadata.yaml, and no .mcap or .db3 either"),
+        (tmp_path / "plan.mcap", "is not a readable recording .*seems to be empty.*mcap recover"),
     ):
         with pytest.raises(SceneError, match=words):
             read(path)

@@ -50,7 +50,7 @@ from lime_planner.ros.requests.services import Services
 from lime_planner.ros.requests.status_board import Phase, StatusBoard, health_message
 from lime_planner.ros.requests.worker import Answer, RequestContext, Ticket, Worker
 from lime_planner.ros.runtime import Throttle, give_back, run_node
-from lime_planner.scene.from_clouds import CLOUDS
+from lime_planner.scene.from_clouds import CLOUDS, unfiltered
 
 #: Python hands the interpreter from one thread to another this often [s]: callbacks wait less for the worker's Python.
 _SWITCH_INTERVAL_S = 0.0003
@@ -81,7 +81,7 @@ class PlannerNode(Node):
         self.inputs = Inputs(self._ros_now_s, self._warn)
         self.frames = make_frames(self, settings.node.static_transforms)
         self.get_logger().info(f"frames from {self.frames.source}")
-        self.source = SceneSource(self.inputs, self.frames, "", lambda scene, _q, _padding: scene)  # of no arm yet
+        self.source = SceneSource(self.inputs, self.frames, "", unfiltered)  # of no arm yet
         self._open_outputs()
         self.board = StatusBoard(self.get_name(), self._now, self._status.publish)
         self.execution = Execution(
