@@ -12,7 +12,7 @@ from typing import Any
 import numpy.typing as npt
 
 from lime_planner.core.errors import ParameterError, ProblemError, SceneError
-from lime_planner.core.geometry import matrix_to_pose, pose_to_matrix
+from lime_planner.core.geometry import pose_to_matrix
 from lime_planner.core.parameters import NODE_PARAMETERS, settings_from
 from lime_planner.core.validation import floats
 from lime_planner.pipeline import Pipeline, PlanResult
@@ -106,18 +106,6 @@ def draw(result: PlanResult, scene: Scene, robot: Robot, path: str | os.PathLike
     Raises:
         ParameterError: a suffix that is not supported, or a file that cannot be written.
     """
-    from lime_planner.output.console import headline
-    from lime_planner.output.picture import draw_picture
+    from lime_planner.output.picture import draw_plan
 
-    found = len(result.waypoints) > 0
-    return draw_picture(
-        path,
-        scene,
-        robot,
-        q_start=robot.home if result.q_start is None else result.q_start,
-        q_goal=result.waypoints[-1] if found else None,
-        tool_path=result.tool_path if found else None,
-        tool_leaf=result.tool_leaf if found else None,
-        target_pose=None if result.T_base_tool is None else matrix_to_pose(result.T_base_tool),
-        title=headline(result.figures()) if result.succeeded else result.status.name,
-    )
+    return draw_plan(result, scene, robot, path)

@@ -13,7 +13,7 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "lime_planner"
 TESTS = ROOT / "test"
-MAX_LINES = 350
+MAX_LINES = 500
 
 #: Imports point only backwards along this order; modules of one row may import each other as long as there is no circle.
 ORDER = (

@@ -23,7 +23,7 @@ from benchmarks.node.acceptance_scans import data_folder, independent_checker, l
 from lime_planner.core.geometry import pose_to_matrix
 from lime_planner.core.parameters import settings_from
 from lime_planner.pipeline import Pipeline
-from lime_planner.pipeline.finish import sample_path
+from lime_planner.pipeline.figures import sample_path
 from lime_planner.pipeline.goals import sort_out
 from lime_planner.pipeline.search import search
 from lime_planner.robot.ik import solve_ik

@@ -2,7 +2,7 @@
 
     python -m benchmarks.node.acceptance_requests --requests 20
 
-Scene, arm and planner run as three processes on the demo's plant. The scene publishes both clouds anew twice a second, so that no
+Scene, arm and planner run as three processes on the demo's plant. The scene publishes both clouds again twice a second, so that no
 request finds the fields of the one before. Each request calls `~/plan` and waits for the motion command on `joint_trajectory`; then the
 arm is stopped and goes back by `~/retreat`. Exit status 0 only if every request succeeds, with a median of at most 2 s and a 95th
 percentile of at most 4 s.

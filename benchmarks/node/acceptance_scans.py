@@ -36,7 +36,8 @@ from lime_planner.core.status import Status
 from lime_planner.motion.controllers.replay import replay_jtc, replay_kinova
 from lime_planner.motion.trajectory import Trajectory
 from lime_planner.pipeline import Pipeline, PlanResult
-from lime_planner.pipeline.finish import contract_violations, sample_path
+from lime_planner.pipeline.certify import contract_violations
+from lime_planner.pipeline.figures import sample_path
 from lime_planner.robot.ik import solve_ik
 from lime_planner.robot.model import Robot, home, load_robot
 from lime_planner.scene.plants.grasp_targets import canopy_targets

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from lime_planner.collision.arm_filter_live import make_arm_filter
+from lime_planner.collision.arm_filter import make_arm_filter
 from lime_planner.core.geometry import pose_to_matrix
 from lime_planner.core.parameters import settings_from
 from lime_planner.pipeline import Pipeline

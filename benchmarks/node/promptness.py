@@ -69,7 +69,7 @@ def main() -> int:
             late = []
             for number in range(args.plans):
                 stop, asked = threading.Event(), [0.0]
-                pipeline.obstacles(plant, np.zeros(3) + number, settings)  # so that the fields are built anew
+                pipeline.obstacles(plant, np.zeros(3) + number, settings)  # so that the fields are built again
 
                 def press(stop: threading.Event = stop, asked: list[float] = asked) -> None:
                     asked[0] = time.monotonic()

@@ -5,7 +5,7 @@
 
 Random scenes, targets (good and bad), preemptions, stops, faults of the arm, bad clouds and parameter changes. After every step:
 each request has exactly one answer, in time; no command breaks the contract or touches a stem (`soak_checks`, which asks the planner
-nothing); nobody crashed. At the end: memory and threads are flat. Exit status 0 only if all of it held. The report is one JSON object.
+nothing); no process crashed. At the end: memory and threads are flat. Exit status 0 only if all of it held. The report is one JSON object.
 """
 
 from __future__ import annotations

@@ -174,7 +174,7 @@ class Judge:
         if self._running is not None and at_s < self._running[0] + self._running[1].duration_s - 0.05:
             found.append("it was sent while another motion ran")
         if any(since_s + ON_THE_WAY_S < at_s < until_s for since_s, until_s in [*self._quiet, (self._stopped_s, np.inf)]):
-            found.append("it was sent after a stop, and nobody had asked for it since")
+            found.append("it was sent after a stop, and it had not been asked for since")
         known, target = target_of(trajectory, statuses)
         if not known:
             found.append("no status tells what it is for")
@@ -207,7 +207,7 @@ class Judge:
         return self._checker[2]
 
     def _around(self, at_s: float) -> list[np.ndarray]:
-        """Where the arm was around a moment; while it moves, nobody here knows more exactly where it was at a cloud's stamp."""
+        """Where the arm was around a moment; while it moves, it is not known here more exactly where it was at a cloud's stamp."""
         near = [q for state_s, q in list(self._states) if abs(state_s - at_s) < STAMP_S]
         return near[:: max(len(near) // 12, 1)] or [q for q in (self.newest(at_s), self.newest()) if q is not None][:1]
 

@@ -277,7 +277,7 @@ class Steps:
             while self.moving() and len(self.bench.commands) == before and time.monotonic() < deadline:
                 time.sleep(0.01)
             if self.moving() and len(self.bench.commands) == before:
-                self.violations.append(f"a stem appeared on the path and nobody stopped: {words}")
+                self.violations.append(f"a stem appeared on the path and the arm was not stopped: {words}")
 
     def fault(self) -> None:
         """The arm misbehaves for one motion."""

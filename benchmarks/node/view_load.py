@@ -3,7 +3,7 @@
     python -m benchmarks.node.view_load --rounds 5
 
 The demo's nodes run as processes, the planner with its page. Previews with a budget of iterations (so that their time tells of the
-work) are timed in turns: nobody looks; a browser has the page open in the background, as on another machine (nothing is drawn here);
+work) are timed in turns: no page is open; a browser has the page open in the background, as on another machine (nothing is drawn here);
 and a browser draws it by software on this machine, which costs a core or two whatever the planner does. Exit status 0 only if the
 open page costs at most 10 % (median).
 """
@@ -32,7 +32,7 @@ from lime_planner.scene.plants.generator import generate_plant
 SLOWER = 1.10
 ITERATIONS = 6000
 PREVIEWS = 6  # in each turn; the first one, during which the page may still be loading, does not count
-TURNS = ("nobody looks", "page open elsewhere", "page drawn here")
+TURNS = ("no page open", "page open elsewhere", "page drawn here")
 
 
 def main() -> int:

@@ -106,9 +106,9 @@ def table_text(results: dict[str, Any]) -> str:
 def finish(results: dict[str, Any], text: str, complete: bool, args: argparse.Namespace, *, checks: bool) -> int:
     """Write and print the tables, draw the plots; the exit status."""
     from benchmarks.planners.figures import all_figures
-    from lime_planner.experiments.runs.parallel import write_atomically
+    from lime_planner.core.atomic_files import write_text
 
-    write_atomically(args.out / "table.md", text)
+    write_text(args.out / "table.md", text)
     if not args.no_figures and results["trials"]:
         all_figures(results, args.out, checks=checks)
     print(text)

@@ -34,7 +34,7 @@ class Run:
 
     Attributes:
         spec: the problem; method: its name; seed: of the method.
-        seconds: budget; marks_s: times at which costs are wanted, for methods that are run anew for each.
+        seconds: budget; marks_s: times at which costs are wanted, for methods that are run again for each.
         clock: `wall` or `cpu`.
         settings: of a peer, by name.
         min_checks: a peer goes on until so many configurations are checked.

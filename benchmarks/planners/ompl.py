@@ -6,7 +6,7 @@ What decides whether OMPL gets a fair chance from Python (2.0.1):
 - That class takes its heuristics from the same method. Left alone, they would become the true cost of the straight line: not
   admissible, so that BIT* ends at its first path and informed sampling prunes good ones, and as dear as an edge. They are bound to the
   length, computed by OMPL itself without a Python frame in between. No class of OMPL's has this heuristic and a cost of one's own
-  without a way through Python: its dispatch is measured before each run, and what the calls cost is reported (`peers_dispatch`).
+  without a way through Python: its dispatch is measured before each run, and what the calls cost is reported (`ompl_callbacks`).
 - Edges must be checked by a `MotionValidator` of one's own, not state by state.
 - An edge that OMPL asks about twice, once for its cost and once for its validity, is evaluated once. RRT-Connect's trees leave leaves
   out of account, which is cheaper; only the few edges of a path that they find are evaluated again, for its cost.
@@ -29,9 +29,8 @@ from ompl import geometric as og
 from ompl import util as ou
 
 from benchmarks.planner_runs import CLOCKS, Curve, record
-from benchmarks.planners.ompl_callbacks import Callbacks, stopping
+from benchmarks.planners.ompl_callbacks import Callbacks, counted, dispatch_times, stopping
 from benchmarks.planners.ompl_simplifier import Simplification, shorten
-from benchmarks.planners.peers_dispatch import counted, dispatch_times
 from lime_planner.core.errors import ParameterError
 from lime_planner.core.types import Array
 from lime_planner.experiments.problems import Problem

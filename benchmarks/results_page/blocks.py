@@ -1,4 +1,4 @@
-"""The texts of the results page: tables and figures of speech, each made from kept results and from nothing else."""
+"""The texts of the results page: tables and sentences with numbers, each made from kept results and from nothing else."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from benchmarks.results_page import lime_blocks as lime
 from benchmarks.results_page.lime_blocks import escaped
 from benchmarks.scale import report as scale
 from lime_planner.experiments.analysis.bootstrap import median
+from lime_planner.experiments.analysis.tables import markdown_table
 from lime_planner.experiments.damage import report as damage
 from lime_planner.experiments.runs.results_file import machine_text
-from lime_planner.experiments.wall.report import markdown_table
 
 Results = dict[str, Any]
 

@@ -10,7 +10,7 @@ from pathlib import Path
 _EPILOG = """\
 Each folder is the --out of an experiment or a benchmark. Its results go to
 DOCS/results in a compact form, its plots to DOCS/figures, and the tables of
-DOCS/results.md are made anew. Without folders only the tables are.
+DOCS/results.md are made again. Without folders only the tables are.
 
 examples:
   lime-planner experiment report lime damage planners peers scale
@@ -44,8 +44,8 @@ def keep_run(run: Path, docs: Path) -> list[Path]:
         SceneError: the folder holds no results that are kept, or not all of them.
     """
     from benchmarks.results_page.kept_results import keep, name_of
+    from lime_planner.core.atomic_files import write_json
     from lime_planner.core.errors import SceneError
-    from lime_planner.experiments.runs.parallel import write_json
 
     try:
         results = json.loads((run / "results.json").read_text())
@@ -57,7 +57,7 @@ def keep_run(run: Path, docs: Path) -> list[Path]:
     (docs / "results").mkdir(parents=True, exist_ok=True)
     (docs / "figures").mkdir(exist_ok=True)
     written = [docs / "results" / f"{name}.json"]
-    write_json(written[0], kept)
+    write_json(written[0], kept, compact=True)
     for experiment, source, target in FIGURES:
         if experiment == name and (run / source).is_file():
             written.append(docs / "figures" / target)
@@ -68,8 +68,8 @@ def keep_run(run: Path, docs: Path) -> list[Path]:
 def run(args: argparse.Namespace) -> int:
     """Carry out the command: 0, or with --check 1 where the page is not what the kept results give."""
     from benchmarks.results_page.page import filled, missing
+    from lime_planner.core.atomic_files import write_text
     from lime_planner.core.errors import SceneError
-    from lime_planner.experiments.runs.parallel import write_atomically
 
     page = args.docs / "results.md"
     if not page.is_file():
@@ -81,6 +81,6 @@ def run(args: argparse.Namespace) -> int:
         return 1 if wrong else 0
     for folder in args.runs:
         print("\n".join(str(path) for path in keep_run(folder, args.docs)))
-    write_atomically(page, filled(page.read_text(), args.docs / "results"))
+    write_text(page, filled(page.read_text(), args.docs / "results"))
     print(page)
     return 0

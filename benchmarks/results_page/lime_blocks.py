@@ -8,9 +8,9 @@ import numpy as np
 
 from lime_planner.core.types import Array
 from lime_planner.experiments.analysis.statistics import against_zero, welch
+from lime_planner.experiments.analysis.tables import markdown_table, p_text
 from lime_planner.experiments.lime import report as lime
 from lime_planner.experiments.lime.trials import ALGORITHMS, FIXED, LABELS, PAPER
-from lime_planner.experiments.wall.report import markdown_table, p_text
 
 Results = dict[str, Any]
 Costs = dict[tuple[int, str, int], float | None]

@@ -22,7 +22,7 @@ def blocks_in(page: str) -> dict[str, str]:
 
 
 def filled(page: str, folder: Path) -> str:
-    """Return the page with every block made anew from the kept results in a folder.
+    """Return the page with every block made again from the kept results in a folder.
 
     Raises:
         SceneError: an unknown block, or results that are not there.
@@ -48,7 +48,7 @@ def without_blocks(page: str) -> str:
 
 
 def numbers_outside(page: str) -> list[str]:
-    """Numbers of a page that stand in no block, code or link, for whoever wants to know where they come from."""
+    """Numbers of a page that stand in no block, code or link, so that where they come from can be checked."""
     rest = without_blocks(page)
     rest = re.sub(r"```.*?```|`[^`]*`|\]\([^)]*\)", "", rest, flags=re.DOTALL)
     return re.findall(r"(?<![\w.])\d+(?:,\d{3})*(?:\.\d+)?", rest)

@@ -72,7 +72,8 @@ def run(args: argparse.Namespace) -> int:
     from benchmarks.scale.cases import run_task
     from benchmarks.scale.report import scale_figure, table_text
     from benchmarks.timing import machine
-    from lime_planner.experiments.runs.parallel import default_jobs, write_atomically
+    from lime_planner.core.atomic_files import write_text
+    from lime_planner.experiments.runs.parallel import default_jobs
     from lime_planner.experiments.runs.results_file import Plan, collect
 
     tasks = tasks_of(args)
@@ -92,7 +93,7 @@ def run(args: argparse.Namespace) -> int:
         plan, args.out / "results.json", jobs=args.jobs or default_jobs(), resume=args.resume, scheduler=args.scheduler
     )
     text = table_text(results)
-    write_atomically(args.out / "table.md", text)
+    write_text(args.out / "table.md", text)
     if not args.no_figures and results["trials"]:
         scale_figure(results, args.out / "scale")
     print(text)

@@ -12,8 +12,8 @@ import numpy as np
 from benchmarks.planner_runs import cost_at
 from benchmarks.scale.cases import MEMORY_TARGET_BYTES, POINTS_TARGETS_S
 from lime_planner.experiments.analysis.bootstrap import median
+from lime_planner.experiments.analysis.tables import markdown_table
 from lime_planner.experiments.runs.results_file import machine_text
-from lime_planner.experiments.wall.report import markdown_table
 
 Records = list[dict[str, Any]]
 

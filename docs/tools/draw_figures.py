@@ -22,7 +22,7 @@ from lime_planner import Robot, generate_plant, plan
 from lime_planner.api import _warm_pipeline
 from lime_planner.core.geometry import pose_to_matrix
 from lime_planner.core.parameters import settings_from
-from lime_planner.pipeline.finish import leaf_profile
+from lime_planner.pipeline.figures import leaf_profile
 from lime_planner.pipeline.goals import find_goals, measure, sampling_box
 from lime_planner.planning.lime_star.options import LimeOptions
 from lime_planner.planning.lime_star.planner import plan_lime

@@ -22,7 +22,7 @@ from lime_planner.scene.plants.generator import generate_plant
 from lime_planner.viewer.access import Access
 from lime_planner.viewer.backend import Activity
 from lime_planner.viewer.page import Page
-from lime_planner.viewer.scene_backend import Desk
+from lime_planner.viewer.scene_backend import SceneBackend
 
 FIGURES = Path(__file__).resolve().parents[1] / "figures"
 SIZE = {"width": 1280, "height": 760}
@@ -49,20 +49,20 @@ def shoot(tab: Tab, name: str) -> None:
 def main() -> None:
     """Plan, stand among the leaves, and take both pictures."""
     scene = generate_plant(np.random.default_rng(DEFAULT_SEED))
-    desk = Desk(lambda: load_robot("kinova_j2s6s200"), settings_from({"seed": SEED}), scene=scene, title="plant")
-    until(lambda: desk.moment().activity is Activity.IDLE)
-    page = Page(desk, Access(), 0)
+    backend = SceneBackend(lambda: load_robot("kinova_j2s6s200"), settings_from({"seed": SEED}), scene=scene, title="plant")
+    until(lambda: backend.moment().activity is Activity.IDLE)
+    page = Page(backend, Access(), 0)
     with chromium() as browser:
         tab = browser.new_context(viewport=SIZE).new_page()  # type: ignore[arg-type]
         tab.set_default_timeout(60_000.0)
         tab.goto(page.url)
         tab.locator(".mantine-Notification-closeButton").first.click()  # that there is no graphics card is no news here
         tab.get_by_role("button", name="Plan", exact=True).first.click()
-        until(lambda: desk.moment().shown is not None and page._insight is not None)
-        insight = page._insight
-        assert insight is not None
+        until(lambda: backend.moment().shown is not None and page._timeline is not None)
+        timeline = page._timeline
+        assert timeline is not None
         page._player.playing = False
-        page._player.t_s = float(insight.times_s[max(int(np.argmax(insight.leaf > 0.0)), 1)])
+        page._player.t_s = float(timeline.times_s[max(int(np.argmax(timeline.leaf > 0.0)), 1)])
         shoot(tab, "view.png")
         tab.get_by_text("Show", exact=True).first.click()
         tab.get_by_label("Search tree", exact=True).click()
@@ -70,7 +70,7 @@ def main() -> None:
         tab.mouse.move(640, 700)  # away from the tooltip
         shoot(tab, "view-tree.png")
     page.close()
-    desk.close()
+    backend.close()
 
 
 if __name__ == "__main__":

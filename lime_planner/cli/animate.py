@@ -35,7 +35,7 @@ def run(args: argparse.Namespace) -> int:
     """Draw and write; 0 when the file is there."""
     from rich.progress import Progress
 
-    from lime_planner.cli.plan import load_arm
+    from lime_planner.cli.arguments import load_arm
     from lime_planner.core.atomic_files import check_writable
     from lime_planner.output.animation import SUFFIXES, animate
     from lime_planner.output.console import console

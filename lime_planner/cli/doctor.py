@@ -44,8 +44,8 @@ examples:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the command's arguments."""
+    from lime_planner.cli.arguments import add_parameters, add_topics
     from lime_planner.cli.json_output import add_json
-    from lime_planner.cli.topics import add_parameters, add_topics
 
     parser.epilog = _EPILOG
     groups = ", ".join(GROUPS)
@@ -68,7 +68,7 @@ def _groups(text: str) -> tuple[str, ...]:
 def run(args: argparse.Namespace) -> int:
     """Run the checks; 1 if there is a fault."""
     from lime_planner.doctor.findings import healthy
-    from lime_planner.output.progress import working
+    from lime_planner.output.console import working
 
     if not 0.0 <= args.wait <= 600.0:
         raise ParameterError(f"--wait is {args.wait:g}; allowed: 0 to 600 s")
@@ -114,7 +114,7 @@ class _Doctor:
         return machine_findings()
 
     def robot(self) -> list[Finding]:
-        from lime_planner.cli.plan import load_arm
+        from lime_planner.cli.arguments import load_arm
         from lime_planner.doctor.findings import fault, ok, warning
 
         if self._file_trouble:
@@ -152,7 +152,7 @@ class _Doctor:
         trip = measure()
         self._dds_works = trip.heard
         if trip.trouble:
-            cure = "correct RMW_IMPLEMENTATION and the environment named above, or install ROS 2 anew"
+            cure = "correct RMW_IMPLEMENTATION and the environment named above, or install ROS 2 again"
             return [*findings, fault("DDS", trip.trouble, cure)]
         if not trip.heard:
             cure = "check the lines above, a firewall on loopback, and FASTRTPS profiles; on a sourced ROS: fastdds shm clean"
@@ -170,7 +170,7 @@ class _Doctor:
             return [warning("listening", "skipped: the parameters cannot be used", "see above")]
         if importlib.util.find_spec("rclpy") is None or not self._dds_works:
             return [warning("listening", "skipped: ROS 2 does not work here", "see above")]
-        from lime_planner.cli.topics import topics_of
+        from lime_planner.cli.arguments import topics_of
         from lime_planner.ros.parameters import snapshot_from
         from lime_planner.ros.tools.listener import Listener
         from lime_planner.ros.tools.live_checks import live_findings
@@ -186,7 +186,7 @@ class _Doctor:
 
     def _known_arm(self) -> Arm | None:
         """Return joints and frame of the arm; those of a built-in model without loading it."""
-        from lime_planner.cli.plan import load_arm
+        from lime_planner.cli.arguments import load_arm
         from lime_planner.robot.builtin import BUILTIN_ARMS
         from lime_planner.ros.tools.live_checks import Arm
         from lime_planner.scene.scene import DEFAULT_FRAME

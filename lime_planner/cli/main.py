@@ -13,10 +13,9 @@ import os
 import re
 import sys
 import traceback
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 from lime_planner import __version__
@@ -31,7 +30,11 @@ _CHECKOUT = Path(__file__).resolve().parents[2]
 
 @dataclass(frozen=True)
 class Command:
-    """A command: its words, the module that carries it out, one line of help, and an example where the module gives none."""
+    """A command: its words, the module that carries it out, one line of help, and an example where the module gives none.
+
+    The module has `add_arguments` and `run`; one that carries out several commands, given as `module:name`, `add_NAME_arguments` and
+    `run_NAME` for each.
+    """
 
     words: tuple[str, ...]
     module: str
@@ -44,9 +47,9 @@ COMMANDS = (
     Command(("view",), "lime_planner.cli.view", "the 3-D page: plan, look, and move a simulated or a real arm"),
     Command(("animate",), "lime_planner.cli.animate", "turn a saved plan into a moving picture"),
     Command(("demo",), "lime_planner.ros.demo.demo", "scene, arm and planner as ROS nodes; a simulated arm carries the plan out"),
-    Command(("scene", "plant"), "lime_planner.cli.scene_plant", "grow a lime plant from a seed"),
-    Command(("scene", "tomatowur"), "lime_planner.cli.scene_tomatowur", "obtain public scans of real tomato plants"),
-    Command(("scene", "info"), "lime_planner.cli.scene", "say what a scene file holds"),
+    Command(("scene", "plant"), "lime_planner.cli.scene:plant", "grow a lime plant from a seed"),
+    Command(("scene", "tomatowur"), "lime_planner.cli.scene:tomatowur", "obtain public scans of real tomato plants"),
+    Command(("scene", "info"), "lime_planner.cli.scene:info", "say what a scene file holds"),
     Command(("record",), "lime_planner.cli.record", "a scene and a start, from live topics or a recording, into a file"),
     Command(("doctor",), "lime_planner.cli.doctor", "check the installation, ROS 2, the arm and the clouds"),
     Command(("parameters",), "lime_planner.cli.parameters", "list every parameter that --set and the node understand"),
@@ -124,10 +127,13 @@ def _exists(command: Command) -> bool:
     return _CHECKOUT.joinpath(*command.module.split(".")).with_suffix(".py").is_file()
 
 
-def _module_of(command: Command) -> ModuleType:
+def _functions_of(command: Command) -> tuple[Callable[[argparse.ArgumentParser], None], Callable[[argparse.Namespace], int]]:
+    """Import what declares a command's arguments and what runs it."""
     if command.module.startswith("benchmarks.") and str(_CHECKOUT) not in sys.path:
         sys.path.append(str(_CHECKOUT))
-    return importlib.import_module(command.module)
+    name, _, part = command.module.partition(":")
+    module = importlib.import_module(name)
+    return getattr(module, f"add_{part}_arguments" if part else "add_arguments"), getattr(module, f"run_{part}" if part else "run")
 
 
 def build_parser(arguments: Sequence[str], *, everything: bool = False) -> argparse.ArgumentParser:
@@ -156,15 +162,16 @@ def build_parser(arguments: Sequence[str], *, everything: bool = False) -> argpa
             place = groups[group]
         leaf = place.add_parser(command.words[-1], help=command.summary, description=command.summary.capitalize() + ".")
         if everything or words[: len(command.words)] == command.words:
-            _fill(leaf, _module_of(command), command)
+            _fill(leaf, command)
     return parser
 
 
-def _fill(parser: argparse.ArgumentParser, module: ModuleType, command: Command) -> None:
-    module.add_arguments(parser)
+def _fill(parser: argparse.ArgumentParser, command: Command) -> None:
+    add_arguments, run = _functions_of(command)
+    add_arguments(parser)
     parser.epilog = parser.epilog or f"example:\n  lime-planner {' '.join(command.words)} {command.example}"
     parser.add_argument("--debug", action="store_true", help="print the traceback of an error")
-    parser.set_defaults(run=module.run)
+    parser.set_defaults(run=run)
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -7,12 +7,13 @@ import dataclasses
 import signal
 import sys
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from lime_planner.cli.arguments import LABEL_PARAMETERS, add_bag, add_topics, load_arm, read_bag, read_parameters, read_scene, topics_of
 from lime_planner.core.errors import ParameterError, UsageError
-from lime_planner.core.parameters import NODE_PARAMETERS, PARAMETERS, Settings, parse_assignment, settings_from
+from lime_planner.core.parameters import PARAMETERS, Settings, settings_from
 from lime_planner.core.planners import PLANNERS
 
 if TYPE_CHECKING:
@@ -20,11 +21,6 @@ if TYPE_CHECKING:
     from lime_planner.robot.model import Robot
     from lime_planner.scene.files import Start
     from lime_planner.scene.scene import Scene
-
-#: The node's parameters that say how a file's labels are read.
-_OF_FILES = ("label_field", "leaf_labels", "stem_labels", "fruit_labels", "ignored_labels", "class_costs")
-#: And how a base that moves is taken: recordings know of it.
-OF_RECORDINGS = ("fixed_frame", "max_base_motion_m")
 
 _EPILOG = """\
 SCENE is an .npz with points (N, 3) [m] and labels (0 leaf, 1 stem, 2 fruit), or
@@ -53,9 +49,7 @@ to standard error, with --json also to FILE. --set understands what
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the command's arguments."""
     parser.epilog = _EPILOG
-    from lime_planner.cli.bag import add_bag
     from lime_planner.cli.json_output import add_json
-    from lime_planner.cli.topics import add_topics
 
     parser.add_argument("scene", metavar="SCENE", type=Path, nargs="?", help="scene file: .npz, .ply or .pcd")
     target = "pose of the tool at the fruit [m, -]: X Y Z QX QY QZ QW, or with --bag its topic; default: the scene's"
@@ -91,8 +85,6 @@ def _sort_arguments(args: argparse.Namespace) -> None:
     Raises:
         UsageError: neither or both of scene and recording, or options that belong to the other one.
     """
-    from lime_planner.cli.topics import topics_of
-
     words = args.target or []
     if len(words) == 8 and args.scene is None and isinstance(words[-1], str):  # `--target X Y Z QX QY QZ QW SCENE`
         args.scene, args.target, words = Path(words[-1]), words[:-1], words[:-1]
@@ -117,50 +109,6 @@ def _sort_arguments(args: argparse.Namespace) -> None:
         raise UsageError(f"--target needs 7 numbers x y z qx qy qz qw, or with --bag a topic; got {' '.join(map(str, words))}")
 
 
-def read_parameters(args: argparse.Namespace) -> dict[str, Any]:
-    """Return the parameters that the options set; an option of its own wins over `--set`.
-
-    Raises:
-        ParameterError: unknown, out of range, or one that means nothing here.
-    """
-    values = dict(parse_assignment(text) for text in args.assignments)
-    for name in ("planner", "iterations", "seed"):
-        if getattr(args, name) is not None:
-            values[name] = getattr(args, name)
-    if args.time is not None:
-        values["time_budget_s"], values["iterations"] = args.time, 0
-    used = (*_OF_FILES, *(OF_RECORDINGS if getattr(args, "bag", None) is not None else ()))
-    idle = [name for name in values if name in NODE_PARAMETERS and name not in used]
-    if idle:
-        raise ParameterError(f"{', '.join(idle)}: only the node has a use for this parameter")
-    return values
-
-
-def label_options(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what the parameters say about labels, as `Scene.load` takes it.
-
-    Raises:
-        ParameterError: two classes share a label.
-    """
-    from lime_planner.scene.labels import fruit_in_force
-
-    of = {name: values.get(name, NODE_PARAMETERS[name].default) for name in _OF_FILES}
-    classes = {name: value for name, value in of.items() if name != "label_field"}
-    return {**of, "fruit_labels": fruit_in_force(**classes)}
-
-
-def read_scene(args: argparse.Namespace, values: dict[str, Any]) -> Scene:
-    """Load the scene with the labels that the parameters name; its frame is empty where the file names none.
-
-    Raises:
-        SceneError: see `Scene.load`.
-        ParameterError: see `label_options`.
-    """
-    from lime_planner.scene.scene import Scene
-
-    return Scene.load(args.scene, scale=args.scale, offset=args.offset, **label_options(values))
-
-
 def run(args: argparse.Namespace) -> int:
     """Plan, print a short table, write what was asked for; 0 only for SUCCEEDED."""
     values = read_parameters(args)
@@ -169,8 +117,6 @@ def run(args: argparse.Namespace) -> int:
         raise ParameterError(f"--picture {args.picture}: ends in none of .png, .svg, .pdf")
     _sort_arguments(args)
     if args.bag is not None:
-        from lime_planner.cli.bag import read_bag
-
         robot = load_arm(settings)
         recorded = read_bag(args.bag, values, robot, settings.self_filter_padding_m, args.topics, args.at)
         args.scene = args.bag
@@ -210,7 +156,7 @@ def plan_in(scene: Scene, robot: Robot, settings: Settings, args: argparse.Names
 
     from lime_planner.core.geometry import pose_to_matrix
     from lime_planner.core.status import Status
-    from lime_planner.output.progress import working
+    from lime_planner.output.console import working
     from lime_planner.pipeline import Pipeline
 
     q_start = _start(args, robot, start)
@@ -228,30 +174,7 @@ def plan_in(scene: Scene, robot: Robot, settings: Settings, args: argparse.Names
         pipeline.warm_up()  # compiling must not eat the time budget
     with working("planning", seconds=None if settings.iterations else settings.time_budget_s):
         result = pipeline.plan(scene, T_base_tool, q_start, settings, should_stop=should_stop, seed=settings.seed)
-    return _report(result, scene, robot, q_start, target, args)
-
-
-def load_arm(settings: Settings) -> Robot:
-    """Load the arm of the settings, and say on standard error what is suspicious about its description.
-
-    Raises:
-        RobotError: see `load_robot`.
-        ParameterError: `robot` is `topic`.
-    """
-    from lime_planner.output.console import warn
-    from lime_planner.robot.model import load_robot
-
-    if settings.robot == "topic":
-        raise ParameterError("robot: `topic` needs ROS; name a built-in model or a URDF file")
-    robot = load_robot(
-        settings.robot,
-        joint_names=settings.arm_joints or None,
-        planning_frame=settings.planning_frame or None,
-        tool_frame=settings.tool_frame or None,
-    )
-    for sentence in robot.warnings:
-        warn(sentence)
-    return robot
+    return _report(result, scene, robot, target, args)
 
 
 def _stopped_by_signal() -> Callable[[], bool]:
@@ -283,15 +206,15 @@ def _refuse(args: argparse.Namespace, code: str, message: str) -> int:
 def _provenance(args: argparse.Namespace, target: Any) -> dict[str, Any]:
     """Return what it takes to show a plan again: the scene and how it was placed, the target, the parameters that were set."""
     values = read_parameters(args)
-    placement = {"scale": args.scale, "offset": args.offset, **{name: values[name] for name in _OF_FILES if name in values}}
+    placement = {"scale": args.scale, "offset": args.offset, **{name: values[name] for name in LABEL_PARAMETERS if name in values}}
     parameters = {name: value for name, value in values.items() if name in PARAMETERS}
     return {"scene": str(args.scene), "placement": placement, "target_pose": [float(v) for v in target], "parameters": parameters}
 
 
-def _report(result: PlanResult, scene: Scene, robot: Robot, q_start: Any, target: Any, args: argparse.Namespace) -> int:
+def _report(result: PlanResult, scene: Scene, robot: Robot, target: Any, args: argparse.Namespace) -> int:
     from lime_planner.cli.json_output import emit_json, is_stdout
     from lime_planner.core.status import Status
-    from lime_planner.output.console import headline, print_plans
+    from lime_planner.output.console import print_plans
 
     figures = result.figures()
     quiet = is_stdout(args.json)
@@ -302,20 +225,9 @@ def _report(result: PlanResult, scene: Scene, robot: Robot, q_start: Any, target
         if not quiet:
             print(f"figures: {file}")
     if args.picture is not None:
-        from lime_planner.output.picture import draw_picture
+        from lime_planner.output.picture import draw_plan
 
-        found = len(result.waypoints) > 0
-        draw_picture(
-            args.picture,
-            scene,
-            robot,
-            q_start=q_start,
-            q_goal=result.waypoints[-1] if found else None,
-            tool_path=result.tool_path if found else None,
-            tool_leaf=result.tool_leaf if found else None,
-            target_pose=target,
-            title=headline(figures) if result.status is Status.SUCCEEDED else result.status.name,
-        )
+        draw_plan(result, scene, robot, args.picture)
         if not quiet:
             print(f"picture: {args.picture}")
     if result.status is not Status.SUCCEEDED:

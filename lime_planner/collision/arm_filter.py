@@ -1,7 +1,9 @@
-"""How far points are from the arm's own surface, by its undecimated meshes: what a camera saw of the arm is not an obstacle."""
+"""What a camera saw of the arm is no obstacle: points close to its undecimated meshes, where it stood then, are removed from a cloud."""
 
 from __future__ import annotations
 
+import dataclasses
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -9,8 +11,11 @@ import numpy.typing as npt
 
 from lime_planner.core.types import Array, Float32
 from lime_planner.robot.model import Robot
+from lime_planner.scene.clean import clean_scene, remove_arm
+from lime_planner.scene.from_clouds import ArmFilter
+from lime_planner.scene.scene import Scene
 
-#: Points farther from the arm than this are reported as this far: nobody asks [m].
+#: Points farther from the arm than this are reported as this far: no filter asks for more [m].
 FAR_M = 0.15
 #: Points of one query. Open3D keeps Python's lock meanwhile; a service that waits for it gets its turn between two queries.
 _PART = 2000
@@ -72,3 +77,22 @@ def _signed(scene: Any, points: Float32, low: Array, high: Array) -> Array:
     if inside.any():
         inside[inside] = scene.compute_occupancy(points[inside], nsamples=3).numpy() > 0.5
     return np.asarray(np.where(inside, -found, found), dtype=np.float64)
+
+
+_BEYOND_REACH_M = 0.1  #: what the arm's surface and the margins may reach beyond its reach
+_SLACK_M = 0.001
+
+
+def make_arm_filter(robot: Robot) -> ArmFilter:
+    """Return the filter for one arm."""
+    surface = ArmSurface(robot)
+
+    def remove(scene: Scene, q: Array | None, padding_m: float, /, *, base_position: Array | None = None) -> Scene:
+        centre = np.zeros(3) if base_position is None else base_position
+        scene = clean_scene(scene, reach_m=robot.reach_m + _BEYOND_REACH_M, base_position=centre)
+        if q is None:
+            # Taken before the first joint state: where the arm was is unknown. Its points stay, as obstacles.
+            return dataclasses.replace(scene, counts={**scene.counts, "arm_not_removed": scene.n_points})
+        return remove_arm(scene, partial(surface.distance, q=q, within_m=padding_m + _SLACK_M), padding_m)
+
+    return remove

@@ -1,7 +1,7 @@
 """The exact collision check: undecimated meshes, in double precision, through FCL.
 
 Cloud points are balls of their radius, with nothing added where the cloud is thinned to 2 mm or so (see
-`lime_planner.collision.point_blocks`). Compiled code first sorts out what cannot touch (`lime_planner.collision.exact_kernels`); FCL
+`lime_planner.collision.exact_kernels`). Compiled code first sorts out what cannot touch (`lime_planner.collision.exact_kernels`); FCL
 decides the rest: ball against mesh, mesh against mesh, box against mesh. It shares no geometry with the fast model it is there to check.
 """
 
@@ -77,7 +77,7 @@ class ExactChecker:
         leaf_points: npt.ArrayLike | None = None,
         leaf_point_radius_m: float = 0.004,
         keep_out_boxes: npt.ArrayLike | None = None,
-        floor_z_m: float | None = None,
+        floor_z_m: float = -np.inf,
         workspace_box: npt.ArrayLike | None = None,
         exclusion_centre: npt.ArrayLike | None = None,
         exclusion_radius_m: float = 0.06,
@@ -92,7 +92,7 @@ class ExactChecker:
             leaf_points: (M, 3) points that `leaf_contact` looks at [m].
             leaf_point_radius_m: radius of the balls around them.
             keep_out_boxes: (K, 6) lowest x y z, highest x y z [m]; infinite is allowed.
-            floor_z_m: height that no moving link may be below.
+            floor_z_m: height that no moving link may be below, -inf for none.
             workspace_box: (6,) lowest x y z, highest x y z, that no moving link may leave [m].
             exclusion_centre: (3,) centre of the sphere around the target in which stem points do not count for the gripper's links.
             exclusion_radius_m: its radius.
@@ -114,7 +114,7 @@ class ExactChecker:
         self._stems = PointTest(robot, stems, _length("point_radius_m", point_radius_m), *sphere)
         self._leaves = PointTest(robot, leaves, _length("leaf_point_radius_m", leaf_point_radius_m), *sphere)
         self._keep_out = _checked("keep_out_boxes", np.zeros((0, 6)) if keep_out_boxes is None else keep_out_boxes, (-1, 6), finite=False)
-        self._floor_z_m = -np.inf if floor_z_m is None else float(floor_z_m)
+        self._floor_z_m = float(floor_z_m)
         box = [-np.inf] * 3 + [np.inf] * 3 if workspace_box is None else workspace_box
         self._workspace = _checked("workspace_box", box, (6,), finite=False).reshape(2, 3)
         self._boxes = boxes_of(robot)

@@ -6,9 +6,8 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from lime_planner.collision.exact_kernels import LinkBoxes, lower_bounds, near_points, winding_number
+from lime_planner.collision.exact_kernels import LinkBoxes, lower_bounds, make_blocks, near_points, winding_number
 from lime_planner.collision.link_grids import HALF_DIAGONAL_M, LinkGrids, build_grids
-from lime_planner.collision.point_blocks import make_blocks
 from lime_planner.core.types import Array
 from lime_planner.robot.meshes import LinkMesh, bvh_of
 from lime_planner.robot.model import Robot

@@ -94,7 +94,7 @@ def _scan_body(world: Any, shapes: Any, scratch: Any, b: Any, inside: Any, need:
     pose = scratch.poses[b]
     fields = world.fields
     h = fields.spacing_m
-    extra = world.boxes.shape[0] > 0 or world.floor_z > -1e9 or world.workspace[1, 0] < 1e9
+    extra = world.boxes.shape[0] > 0 or world.floor_z > -np.inf or world.workspace[1, 0] < np.inf
     scratch.masks[b] = 0
     if not extra:
         stem, leaf = sample(fields, scratch.centres[b, 0], scratch.centres[b, 1], scratch.centres[b, 2])

@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from lime_planner.core.atomic_files import replacing
 from lime_planner.core.cache_folder import cache_root
 from lime_planner.core.types import Array, Float32, Int64
 from lime_planner.robot.meshes import LinkMesh
@@ -71,10 +72,8 @@ def _cached_values(link: LinkMesh, origin: Array, size: Int64) -> Float32:
     except (OSError, ValueError, EOFError):  # not there, or half-written by a process that was stopped
         pass
     values = _distance_values(link, origin, size)
-    temporary = path.with_name(f"{path.stem}.{np.random.default_rng().integers(1 << 60):x}.tmp.npy")
-    with contextlib.suppress(OSError):  # a full disk: do without
+    with contextlib.suppress(OSError), replacing(path) as temporary:  # a full disk: do without
         np.save(temporary, values)
-        temporary.replace(path)
     return values
 
 

@@ -20,6 +20,7 @@ import numpy as np
 import scipy.ndimage
 from scipy.spatial import cKDTree
 
+from lime_planner.core.atomic_files import replacing
 from lime_planner.core.cache_folder import cache_root
 from lime_planner.core.types import Array, Float32, Int32, Int64
 from lime_planner.robot.kinematics import Chain
@@ -134,14 +135,14 @@ def _cover(candidates: Array, depth: Array, points: Array, overshoot: float, lim
 
 def _grow_to_cover(spheres: Array, points: Array) -> Array:
     """Enlarge spheres until every point is covered: the rule that makes them a cover, whatever the sampling missed."""
-    grown = spheres.copy()
+    enlarged = spheres.copy()
     for start in range(0, len(points), 4096):
         block = points[start : start + 4096]
-        gap = np.linalg.norm(block[:, None] - grown[None, :, :3], axis=2) - grown[None, :, 3]
+        gap = np.linalg.norm(block[:, None] - enlarged[None, :, :3], axis=2) - enlarged[None, :, 3]
         nearest = gap.argmin(axis=1)
         missing = gap[np.arange(len(block)), nearest]
-        np.maximum.at(grown[:, 3], nearest, spheres[nearest, 3] + np.maximum(missing, 0.0))
-    return grown
+        np.maximum.at(enlarged[:, 3], nearest, spheres[nearest, 3] + np.maximum(missing, 0.0))
+    return enlarged
 
 
 def _body(vertices: Array, triangles: Int32, gripper: bool) -> dict[str, Any]:
@@ -286,9 +287,8 @@ def build_shapes(robot: Robot) -> Shapes:
             arrays = None
     if arrays is None:
         arrays = _compute(robot)
-        temporary = path.with_name(f"{path.stem}.{np.random.default_rng().integers(1 << 60):x}.tmp.npz")
-        np.savez(temporary, **arrays)
-        temporary.replace(path)
+        with replacing(path) as temporary:
+            np.savez(temporary, **arrays)
     empty = np.zeros((0, 3))
     vertices = [np.vstack([empty, *[link.vertices for link in robot.links if link.joint == b]]) for b in range(len(robot.joint_names) + 1)]
     gripper = max((link.joint for link in robot.links if link.gripper), default=len(robot.joint_names))

@@ -49,14 +49,14 @@ class World(NamedTuple):
 
 def empty_world(fields: Fields, n: int, **values: Any) -> World:
     """A world with the given parts and nothing else."""
-    infinite = np.array([[-1e10] * 3, [1e10] * 3])
+    infinite = np.array([[-np.inf] * 3, [np.inf] * 3])
     parts: dict[str, Any] = {
         "fields": fields,
         "stem_radius": 0.004,
         "leaf_radius": 0.004,
         "margin": 0.005,
         "boxes": np.zeros((0, 2, 3)),
-        "floor_z": -1e10,
+        "floor_z": -np.inf,
         "workspace": infinite,
         "exclusion": np.zeros(4),
         "zone": 0.0,

@@ -80,16 +80,34 @@ def make_folder(path: str | os.PathLike[str]) -> Path:
     return folder
 
 
-def write_json(path: str | os.PathLike[str], figures: Mapping[str, Any]) -> Path:
+def write_text(path: str | os.PathLike[str], text: str) -> None:
+    """Write a text; a reader never sees half of it.
+
+    Raises:
+        OSError: the file cannot be written.
+    """
+    with replacing(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+
+
+def write_json(path: str | os.PathLike[str], figures: Mapping[str, Any], *, compact: bool = False) -> Path:
     """Write figures as JSON; a reader never sees half a file.
+
+    Args:
+        path: the file.
+        figures: no number of them may be NaN or infinite.
+        compact: on one line, for files of megabytes.
+
+    Returns:
+        The file.
 
     Raises:
         ParameterError: the file cannot be written.
     """
     path = Path(path)
     try:
-        with replacing(path) as temporary:
-            temporary.write_text(json.dumps(figures, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+        layout: dict[str, Any] = {"separators": (",", ":")} if compact else {"indent": 1}
+        write_text(path, json.dumps(figures, allow_nan=False, **layout) + "\n")
     except BrokenPipeError:
         raise  # its reader has gone, which is no fault of the path
     except OSError as error:

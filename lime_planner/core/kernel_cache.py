@@ -57,7 +57,7 @@ def _imports(module: str) -> frozenset[str]:
 
 @cache
 def _implementations() -> frozenset[str]:
-    """Modules that implement the protocol of spaces for their own types: nobody imports them, and everybody may run them."""
+    """Modules that implement the protocol of spaces for their own types: no kernel module imports them, and any planner may run them."""
     return frozenset(name for name, text in _texts().items() if b"@overload" in text)
 
 
@@ -108,7 +108,7 @@ def kernel_folder(path: str) -> Path:
     """
     source = Path(path).resolve()
     module = _module_at(source)
-    # A file of somebody else's, with kernels of this package's kind: told from others by its path.
+    # A file outside the package, with kernels of this package's kind: told from others by its path.
     name = module or f"{source.stem}-{hashlib.sha256(str(source).encode()).hexdigest()[:8]}"
     root = cache_root() / "kernels"
     folder = root / f"{name}-{_hash_of(module)}"

@@ -20,6 +20,8 @@ from lime_planner.core.planners import DEFAULT_PLANNER, PLANNERS
 
 T = TypeVar("T")
 
+_NO_FLOOR_Z_M = -1000.0  # says in files and messages, which have no infinity, that there is no floor
+
 
 @dataclass(frozen=True)
 class Parameter:
@@ -124,7 +126,7 @@ class Settings:
     self_filter_padding_m: float = _row(0.01, "Points of live clouds this close to the arm's own meshes are taken for the arm.", "m", 0.0, 0.1)
     voxel_m: float = _row(0.01, "Largest spacing of the distance fields.", "m", 0.002, 0.05, shapes_obstacles=True)
     keep_out_boxes: tuple[float, ...] = _row((), "Boxes as hard as stems: min x y z, max x y z of each, in the planning frame.", "m", length_multiple=6, shapes_obstacles=True)
-    floor_z_m: float = _row(-1000.0, "Height of a floor as hard as a stem, for all links but the base; -1000: none.", "m", -1000.0, 1000.0, shapes_obstacles=True)
+    floor_z_m: float = _row(_NO_FLOOR_Z_M, "Height of a floor as hard as a stem, for all links but the base; -1000: none.", "m", _NO_FLOOR_Z_M, 1000.0, shapes_obstacles=True)
     workspace_box: tuple[float, ...] = _row((), "Box that the arm must stay in: min x y z, max x y z; empty: none.", "m", length_multiple=6, shapes_obstacles=True)
     velocity_scaling: float = _row(1.0, "Share of the joint velocity limits that a motion may use.", "", 0.01, 1.0)
     acceleration_scaling: float = _row(1.0, "Share of the joint acceleration limits that a motion may use.", "", 0.01, 1.0)
@@ -136,6 +138,11 @@ class Settings:
     def weight(self) -> float:
         """Cost of one radian of leaf contact [1/rad]: `leaf_weight`, or C_perm / δ."""
         return self.leaf_weight if self.leaf_weight >= 0.0 else self.c_perm / self.step_rad
+
+    @property
+    def floor_height_m(self) -> float:
+        """Height of the floor in the planning frame [m]: `floor_z_m`, or -inf where there is none."""
+        return self.floor_z_m if self.floor_z_m > _NO_FLOOR_Z_M + 1.0 else -math.inf
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -293,7 +300,7 @@ def read_yaml(text: str) -> Any:
     import yaml
 
     class Loader(yaml.SafeLoader):
-        """The safe loader; a class of its own, so that nobody else's YAML changes its meaning."""
+        """The safe loader; a class of its own, so that YAML read elsewhere keeps its meaning."""
 
     plain = re.compile(r"^[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?$")
     Loader.add_implicit_resolver("tag:yaml.org,2002:float", plain, list("-+.0123456789"))  # asked after YAML 1.1's own

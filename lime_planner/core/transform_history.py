@@ -10,8 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lime_planner.core.errors import LimePlannerError
-from lime_planner.core.geometry import pose_to_matrix
-from lime_planner.core.transforms import clean_name
+from lime_planner.core.geometry import clean_name, pose_to_matrix
 from lime_planner.core.types import Array
 
 #: How much of the past tf2 keeps, and so every node on the graph [s].

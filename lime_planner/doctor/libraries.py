@@ -134,7 +134,7 @@ def _judge(requirement: Requirement, loaded: Loaded) -> Finding:
     if loaded.failure:
         missing = loaded.failure.startswith("ModuleNotFoundError") and not _version(name)
         sentence = "is not installed" if missing else f"cannot be loaded: {loaded.failure}"
-        cure = advice if missing else f"install what it asks for, or install it anew: {advice} --force-reinstall"
+        cure = advice if missing else f"install what it asks for, or install it again: {advice} --force-reinstall"
         return fault(name, sentence, cure)
     version = _version(name) or loaded.version
     if version and not requirement.specifier.contains(version, prereleases=True):

@@ -3,7 +3,7 @@
 They are what both a Kinova Gen2 driver and a ROS 2 joint trajectory controller carry out faithfully: the driver follows velocities
 by position in the message, holds each until its point's time has passed, keeps the last one, and checks nothing; the controller
 plays the cubic between two points and refuses a last velocity that is not zero. What the message adds to the arrays (a stamp of
-zero, no accelerations, no effort) is for whoever makes the message; collision is for the exact checker.
+zero, no accelerations, no effort) is for the code that makes the message; collision is for the exact checker.
 """
 
 from __future__ import annotations

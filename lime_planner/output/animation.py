@@ -15,7 +15,7 @@ from lime_planner.core.errors import ParameterError
 from lime_planner.core.types import Array, Bool, Float32, Int64, UInt8
 from lime_planner.output.picture import ARM, FREE_PATH, LEAFY_PATH, LIME, STEM, arm_mesh, in_sight, leaf_layer
 from lime_planner.output.render import Layer, View, cloud_layer, compose, halved, mesh_layer
-from lime_planner.output.timeline import Insight, look_into
+from lime_planner.output.timeline import Timeline, timeline_of
 from lime_planner.pipeline import Pipeline
 from lime_planner.pipeline.plan_record import PlanRecord
 from lime_planner.robot.model import Robot
@@ -65,10 +65,10 @@ def animate(
         raise ParameterError(f"{path}: an animation ends in one of {', '.join(SUFFIXES)}, not in {path.suffix or 'nothing'!r}")
     if not shown.found:
         raise ParameterError(f"the plan has no path to animate: {shown.result.message}")
-    insight = look_into(pipeline, shown)
-    count = max(2, round(insight.duration_s * fps) + 1)
-    times = np.linspace(0.0, insight.duration_s, count)
-    stage = _Stage(pipeline.robot, shown, insight, width)
+    timeline = timeline_of(pipeline, shown)
+    count = max(2, round(timeline.duration_s * fps) + 1)
+    times = np.linspace(0.0, timeline.duration_s, count)
+    stage = _Stage(pipeline.robot, shown, timeline, width)
     pictures = []
     for number, t_s in enumerate(times):
         pictures.append(stage.picture(float(t_s)))
@@ -86,11 +86,11 @@ def animate(
 class _Stage:
     """The plant as one camera sees it, before which the arm moves."""
 
-    def __init__(self, robot: Robot, shown: PlanRecord, insight: Insight, width: int) -> None:
-        self._robot, self._insight, self._scene = robot, insight, shown.scene
+    def __init__(self, robot: Robot, shown: PlanRecord, timeline: Timeline, width: int) -> None:
+        self._robot, self._timeline, self._scene = robot, timeline, shown.scene
         seen = in_sight(shown.scene, robot)
-        arms = [arm_mesh(robot, q)[0] for q in insight.configurations[:: max(1, len(insight.configurations) // 8)]]
-        self._view = _view([*seen.values(), *arms], insight.tool[-1], _touched_corners(shown.scene, insight.leaf_points), width)
+        arms = [arm_mesh(robot, q)[0] for q in timeline.configurations[:: max(1, len(timeline.configurations) // 8)]]
+        self._view = _view([*seen.values(), *arms], timeline.tool[-1], _touched_corners(shown.scene, timeline.leaf_points), width)
         self._planner = shown.result.planner
         self._plant = [
             leaf_layer(self._view, seen["leaf"], shown.scene),
@@ -101,16 +101,16 @@ class _Stage:
 
     def picture(self, t_s: float) -> Picture:
         """Draw the moment."""
-        insight = self._insight
-        sample = insight.at(t_s)
-        now = insight.touched[sample]
-        before = insight.touched[: sample + 1].any(axis=0) & ~now
+        timeline = self._timeline
+        sample = timeline.at(t_s)
+        now = timeline.touched[sample]
+        before = timeline.touched[: sample + 1].any(axis=0) & ~now
         plant = [*self._plant, self._lit(before, _TOUCHED_BEFORE, 0.001)]
-        vertices, triangles = arm_mesh(self._robot, insight.configuration(t_s))
+        vertices, triangles = arm_mesh(self._robot, timeline.configuration(t_s))
         # What is touched is shown whatever stands before it.
         solid = [(mesh_layer(self._view, vertices, triangles, ARM), 1.0), (self._lit(now, LEAFY_PATH, _IN_FRONT_M), 0.92)]
         for touching, colour in ((False, FREE_PATH), (True, LEAFY_PATH)):
-            points = _dense(insight.tool[: sample + 1], (insight.leaf[: sample + 1] > 0.0) == touching)
+            points = _dense(timeline.tool[: sample + 1], (timeline.leaf[: sample + 1] > 0.0) == touching)
             if len(points):
                 solid.append((_flat(self._view, points, colour), 1.0))
         image = halved(compose(plant, solid, _LEAF_OVER_ARM))
@@ -119,7 +119,7 @@ class _Stage:
     def _lit(self, marks: Bool, colour: tuple[float, float, float], lift_m: float) -> Layer:
         key = marks.tobytes() + bytes(str(colour), "ascii")
         if key not in self._touched:
-            self._touched[key] = _leaves(self._view, self._scene, self._insight.leaf_points[marks], colour, lift_m)
+            self._touched[key] = _leaves(self._view, self._scene, self._timeline.leaf_points[marks], colour, lift_m)
         return self._touched[key]
 
     def _captioned(self, image: Picture, t_s: float, now: Bool) -> Picture:
@@ -132,12 +132,12 @@ class _Stage:
         draw = ImageDraw.Draw(canvas)
         font = ImageFont.truetype(str(Path(get_data_path()) / "fonts" / "ttf" / "DejaVuSans.ttf"), 14)
         ids = self._scene.leaf_ids
-        touched = self._insight.leaf_points[now]
+        touched = self._timeline.leaf_points[now]
         count = len(touched) if ids is None else len(np.unique(ids[touched]))
         words = (
             f"{count} {'leaf point' if ids is None else 'leaf'}" if count == 1 else f"{count} {'leaf points' if ids is None else 'leaves'}"
         )
-        clock = f"{t_s:4.1f} s" if self._insight.timed else f"{t_s:4.1f} rad"
+        clock = f"{t_s:4.1f} s" if self._timeline.timed else f"{t_s:4.1f} rad"
         draw.text((12, 6), f"{clock}   touching {words}", fill=(30, 30, 30), font=font)
         legend = (("tool's path, free", FREE_PATH), ("touching leaves", LEAFY_PATH), ("touched before", _TOUCHED_BEFORE))
         small, left = font.font_variant(size=11), 12

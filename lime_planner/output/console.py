@@ -1,9 +1,12 @@
-"""A plan's figures as a short table, on at most 80 columns."""
+"""What commands print on a terminal: a plan's figures as a short table, on at most 80 columns, warnings, and progress."""
 
 from __future__ import annotations
 
+import contextlib
 import sys
-from collections.abc import Mapping, Sequence
+import threading
+import time
+from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from lime_planner.core.atomic_files import write_json
@@ -11,6 +14,9 @@ from lime_planner.pipeline.result import ROWS
 
 if TYPE_CHECKING:
     from rich.console import Console
+    from rich.progress import Progress as RichProgress
+
+_TICK_S = 0.1
 
 __all__ = ["ROWS", "cell", "console", "headline", "print_plans", "warn", "write_json"]
 
@@ -69,3 +75,77 @@ def print_plans(title: str, columns: Sequence[tuple[str, Mapping[str, Any]]], ex
     for words, texts in extra:
         table.add_row(words.replace("[", r"\["), *texts)
     console().print(table)
+
+
+class Progress:
+    """How far a command is; this one shows nothing, where standard error is no terminal."""
+
+    def say(self, text: str) -> None:
+        """Tell what is being done now."""
+
+    def advance(self, steps: float = 1.0) -> None:
+        """Tell that steps are done."""
+
+
+class _Bar(Progress):
+    """A bar of rich."""
+
+    def __init__(self, progress: RichProgress, text: str, total: float | None) -> None:
+        self._progress = progress
+        self._task = progress.add_task(text, total=total)
+
+    def say(self, text: str) -> None:
+        self._progress.update(self._task, description=text)
+
+    def advance(self, steps: float = 1.0) -> None:
+        self._progress.advance(self._task, steps)
+
+
+@contextlib.contextmanager
+def working(text: str, *, total: float | None = None, seconds: float | None = None) -> Iterator[Progress]:
+    """Show a bar while the context lasts.
+
+    Args:
+        text: what is being done.
+        total: number of steps; None shows a bar without an end.
+        seconds: instead of a total: the bar fills by itself in this time.
+    """
+    out = console(error=True)
+    if not out.is_terminal:
+        yield Progress()
+        return
+    with _shown(out) as progress:
+        bar = _Bar(progress, text, seconds if seconds is not None else total)
+        if seconds is None:
+            yield bar
+            return
+        with _ticking(bar):
+            yield bar
+
+
+def _shown(out: Console) -> RichProgress:
+    from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+    columns = (SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
+    return Progress(*columns, console=out, transient=True)
+
+
+@contextlib.contextmanager
+def _ticking(bar: Progress) -> Iterator[None]:
+    """Advance a bar by the time that passes."""
+    done = threading.Event()
+
+    def tick() -> None:
+        before = time.monotonic()
+        while not done.wait(_TICK_S):
+            now = time.monotonic()
+            bar.advance(now - before)
+            before = now
+
+    thread = threading.Thread(target=tick, name="progress", daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        done.set()
+        thread.join()

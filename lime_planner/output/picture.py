@@ -12,8 +12,11 @@ import numpy.typing as npt
 
 from lime_planner.core.atomic_files import replacing
 from lime_planner.core.errors import ParameterError
+from lime_planner.core.geometry import matrix_to_pose
 from lime_planner.core.types import Array, Float32, Int64
+from lime_planner.output.console import headline
 from lime_planner.output.render import Image, Layer, View, cloud_layer, compose, halved, mesh_layer
+from lime_planner.pipeline.result import PlanResult
 from lime_planner.robot.model import Robot
 from lime_planner.scene.scene import Scene
 
@@ -35,6 +38,35 @@ _START_OPACITY = 0.38
 _LEAF_OVER_ARM = 0.42  #: leaves in front of the arm let it shine through
 _MARGIN_M = 0.06
 _PANEL_PIXELS = 800  #: height of the views, before halving
+
+
+def draw_plan(result: PlanResult, scene: Scene, robot: Robot, path: str | os.PathLike[str]) -> Path:
+    """Draw plant, arm and the tool's path, coloured by leaf contact, from the side and from above.
+
+    Args:
+        result: a plan, found or refused.
+        scene: the scene it was made in.
+        robot: the arm.
+        path: the picture; its suffix (`SUFFIXES`) chooses the format.
+
+    Returns:
+        The picture's path.
+
+    Raises:
+        ParameterError: see `draw_picture`.
+    """
+    found = len(result.waypoints) > 0
+    return draw_picture(
+        path,
+        scene,
+        robot,
+        q_start=robot.home if result.q_start is None else result.q_start,
+        q_goal=result.waypoints[-1] if found else None,
+        tool_path=result.tool_path if found else None,
+        tool_leaf=result.tool_leaf if found else None,
+        target_pose=None if result.T_base_tool is None else matrix_to_pose(result.T_base_tool),
+        title=headline(result.figures()) if result.succeeded else result.status.name,
+    )
 
 
 def draw_picture(

@@ -1,4 +1,4 @@
-"""The search tree of a plan, for whoever wants to see it: the search is run once more with the plan's own seed, and looked at."""
+"""The search tree of a plan, for display: the search is run once more with the plan's own seed, and its tree is read."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _PIECES = 8  # straight in joint space, an edge is a curve for the tool
 
 
 @dataclass(frozen=True, eq=False)
-class Grown:
+class SearchTree:
     """A search tree as the tool's positions see it.
 
     Attributes:
@@ -35,7 +35,7 @@ class Grown:
     total: int
 
 
-def grow_again(pipeline: Pipeline, shown: PlanRecord, *, should_stop: Callable[[], bool] = never) -> Grown:
+def search_tree_of(pipeline: Pipeline, shown: PlanRecord, *, should_stop: Callable[[], bool] = never) -> SearchTree:
     """Search again as the plan did, and return the tree.
 
     Args:
@@ -45,7 +45,7 @@ def grow_again(pipeline: Pipeline, shown: PlanRecord, *, should_stop: Callable[[
     """
     result, settings = shown.result, shown.settings
     if shown.target is None or not len(result.waypoints):
-        return Grown(np.zeros((0, _PIECES, 2, 3), np.float32), np.zeros(0, bool), 0)
+        return SearchTree(np.zeros((0, _PIECES, 2, 3), np.float32), np.zeros(0, bool), 0)
     q = result.waypoints[0]
     obstacles = pipeline.obstacles(shown.scene, shown.target[:3], settings)
     goals = find_goals(obstacles, obstacles.exact_checker(), pose_to_matrix(shown.target), q, np.random.default_rng(result.seed))
@@ -67,4 +67,4 @@ def grow_again(pipeline: Pipeline, shown: PlanRecord, *, should_stop: Callable[[
     tool = np.zeros((len(keep), _PIECES + 1, 3), np.float32)
     for curve, (a, b) in zip(tool, ends[keep], strict=True):
         curve[:] = [pipeline.robot.forward(q)[:3, 3] for q in rows[a] + share * (rows[b] - rows[a])]
-    return Grown(np.stack([tool[:, :-1], tool[:, 1:]], axis=2), leafy[keep], len(ends))
+    return SearchTree(np.stack([tool[:, :-1], tool[:, 1:]], axis=2), leafy[keep], len(ends))

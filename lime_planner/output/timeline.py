@@ -10,7 +10,7 @@ from lime_planner.collision.touched_points import touched_points
 from lime_planner.core.types import Array, Bool, Int64
 from lime_planner.motion.trajectory import Trajectory
 from lime_planner.pipeline import Pipeline
-from lime_planner.pipeline.finish import leaf_profile, sample_path
+from lime_planner.pipeline.figures import leaf_profile, sample_path
 from lime_planner.pipeline.plan_record import PlanRecord
 
 _STEP_S = 0.04  # between two samples of a motion
@@ -20,7 +20,7 @@ CLEARANCE_SHOWN_M = 0.05  #: larger clearances are lower bounds only, and of no 
 
 
 @dataclass(frozen=True, eq=False)
-class Insight:
+class Timeline:
     """A motion in K samples.
 
     Attributes:
@@ -59,7 +59,7 @@ class Insight:
         return np.array([np.interp(t_s, self.times_s, column) for column in self.configurations.T])
 
 
-def look_into(pipeline: Pipeline, shown: PlanRecord) -> Insight:
+def timeline_of(pipeline: Pipeline, shown: PlanRecord) -> Timeline:
     """Follow a plan in its scene.
 
     Args:
@@ -74,7 +74,7 @@ def look_into(pipeline: Pipeline, shown: PlanRecord) -> Insight:
     paid = (1.0 + settings.weight * 0.5 * (leaf[1:] + leaf[:-1])) * steps
     marks = touched_points(robot, pipeline.shapes, configurations, scene.leaf_points, settings.leaf_point_radius_m)
     ever = np.flatnonzero(marks.any(axis=0))
-    return Insight(
+    return Timeline(
         times,
         timed,
         configurations,

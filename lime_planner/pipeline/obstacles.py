@@ -23,7 +23,6 @@ from lime_planner.scene.voxels import thin
 
 LEAF_VOXEL_M = 0.004  # leaves are thinned to this: about the leaf points' own radius
 _BEYOND_REACH_M = 0.1
-_NO_FLOOR_M = -999.0
 _MEASURED_CLEARANCE_M = 0.05  # clearances are looked for up to this when a path is measured
 _MARGIN_SLOPE = 0.02  # m per rad: how fast the margin is regained on leaving a start or goal that has less
 
@@ -111,7 +110,7 @@ def _exact_checker(robot: Robot, hard: Float32, leaves: Float32, target: Array |
         leaf_points=leaves,
         leaf_point_radius_m=s.leaf_point_radius_m,
         keep_out_boxes=boxes,
-        floor_z_m=s.floor_z_m if s.floor_z_m > _NO_FLOOR_M else None,
+        floor_z_m=s.floor_height_m,
         workspace_box=np.array(s.workspace_box) if s.workspace_box else None,
         exclusion_centre=target if s.target_exclusion_radius_m > 0.0 else None,
         exclusion_radius_m=s.target_exclusion_radius_m,
@@ -156,7 +155,7 @@ def prepare(
     if target is not None and settings.target_exclusion_radius_m > 0.0:
         exclusion[:] = (*target, settings.target_exclusion_radius_m)
         counts["stem_points_hidden"] = int((np.linalg.norm(hard - target, axis=1) < settings.target_exclusion_radius_m).sum())
-    infinite = np.array([[-1e10] * 3, [1e10] * 3])
+    infinite = np.array([[-np.inf] * 3, [np.inf] * 3])
     world = empty_world(
         fields,
         robot.n,
@@ -164,7 +163,7 @@ def prepare(
         leaf_radius=settings.leaf_point_radius_m,
         margin=settings.stem_margin_m,
         boxes=np.array(settings.keep_out_boxes, dtype=np.float64).reshape(-1, 2, 3),
-        floor_z=settings.floor_z_m if settings.floor_z_m > _NO_FLOOR_M else -1e10,
+        floor_z=settings.floor_height_m,
         workspace=np.array(settings.workspace_box, dtype=np.float64).reshape(2, 3) if settings.workspace_box else infinite,
         exclusion=exclusion,
         zone=settings.approach_zone_m,

@@ -16,9 +16,10 @@ from lime_planner.core.parameters import Settings, obstacle_settings, settings_f
 from lime_planner.core.planners import PLANNERS
 from lime_planner.core.status import Status
 from lime_planner.core.types import Array
-from lime_planner.pipeline import recheck as follow
+from lime_planner.pipeline import recheck
+from lime_planner.pipeline.certify import CERTIFIED_STEP_RAD, hit_of, timed_motion
 from lime_planner.pipeline.context import Clock, ask, checked_deadline, checked_start, checked_target, never
-from lime_planner.pipeline.finish import CERTIFIED_STEP_RAD, hit_of, path_figures, sample_path
+from lime_planner.pipeline.figures import path_figures, sample_path
 from lime_planner.pipeline.goals import Goals, examine_start, find_goals
 from lime_planner.pipeline.obstacles import Obstacles, prepare, stem_checker
 from lime_planner.pipeline.result import PlanResult, set_parameters
@@ -150,7 +151,7 @@ class Pipeline:
             if limit >= 0.0 and figures["leaf_contact_rad"] > limit:
                 sentence = f"the least leaf contact found is {figures['leaf_contact_rad']:.3f} rad, allowed are {limit:.3f} rad"
                 raise Refusal(Status.LEAF_BUDGET_EXCEEDED, sentence)
-            figures["trajectory"] = follow.timed_motion(obstacles, checker, found.path, q, settings, clock, ended)
+            figures["trajectory"] = timed_motion(obstacles, checker, found.path, q, settings, clock, ended)
         except Refusal as refusal:
             if refusal.status is Status.CANCELLED and not should_stop():
                 sentence = f"the deadline, {deadline_s:.2f} s after planning began, passed before a motion was certified"
@@ -253,7 +254,7 @@ class Pipeline:
             ProblemError: `waypoints` is no such array, or `T_base_tool` no pose.
         """
         T = None if T_base_tool is None else checked_target(T_base_tool)
-        result = follow.follow(lambda: self._obstacles_of(scene, T, settings, should_stop), waypoints, T, settings, should_stop)
+        result = recheck.follow(lambda: self._obstacles_of(scene, T, settings, should_stop), waypoints, T, settings, should_stop)
         return dataclasses.replace(result, parameters=set_parameters(settings, self.robot))
 
     def recheck(
@@ -286,7 +287,7 @@ class Pipeline:
         def world() -> Obstacles:
             return self._obstacles_of(scene, result.T_base_tool, settings, should_stop)
 
-        return follow.recheck(world, result.trajectory, q, settings, should_stop)
+        return recheck.recheck(world, result.trajectory, q, settings, should_stop)
 
     def obstruction(
         self,
@@ -309,7 +310,7 @@ class Pipeline:
             The contact in words; None if there is none, or if the look was ended before it found one.
         """
         target = None if result.T_base_tool is None else result.T_base_tool[:3, 3]
-        return follow.obstruction(lambda: stem_checker(self.robot, scene, target, settings), result.trajectory, from_time_s, should_stop)
+        return recheck.obstruction(lambda: stem_checker(self.robot, scene, target, settings), result.trajectory, from_time_s, should_stop)
 
     def _obstacles_of(self, scene: Scene, T_base_tool: Array | None, settings: Settings, should_stop: Callable[[], bool]) -> Obstacles:
         return self.obstacles(scene, None if T_base_tool is None else T_base_tool[:3, 3], settings, should_stop)

@@ -1,8 +1,7 @@
-"""Paths that exist already: timing and checking them, checking them again, and watching them while they are carried out."""
+"""Paths that exist already: following them, checking them again, and watching them while they are carried out."""
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable
 from typing import Any
 
@@ -16,46 +15,11 @@ from lime_planner.core.status import Status
 from lime_planner.core.types import Array
 from lime_planner.core.validation import floats
 from lime_planner.motion.trajectory import Trajectory
-from lime_planner.pipeline.context import Clock, ask, never
-from lime_planner.pipeline.finish import CERTIFIED_STEP_RAD, contract_violations, hit_of, make_trajectory, path_figures, sample_path
+from lime_planner.pipeline.certify import CERTIFIED_STEP_RAD, contract_violations, hit_of, timed_motion
+from lime_planner.pipeline.context import Clock, never
+from lime_planner.pipeline.figures import path_figures, sample_path
 from lime_planner.pipeline.obstacles import Obstacles
 from lime_planner.pipeline.result import PlanResult
-
-_CLOSE_TOLERANCE_RAD = 0.001  # of corners, where the motion touched something with the tolerance of the settings
-
-
-def timed_motion(
-    obstacles: Obstacles,
-    checker: ExactChecker,
-    waypoints: Array,
-    q_measured: Array,
-    settings: Settings,
-    clock: Clock,
-    should_stop: Callable[[], bool],
-) -> Trajectory:
-    """Time a path, hold it to the rules of the motion command, and check what comes out exactly.
-
-    A motion that touches something where it cuts a corner of the certified path is timed once more, closer to the path.
-
-    Raises:
-        Refusal: PATH_INVALID with the broken rules or the contact; CANCELLED.
-    """
-    tolerances = [settings.corner_tolerance_rad]
-    if settings.corner_tolerance_rad > _CLOSE_TOLERANCE_RAD:
-        tolerances.append(_CLOSE_TOLERANCE_RAD)
-    hit: str | None = None
-    for tolerance in tolerances:
-        trajectory = make_trajectory(obstacles.robot, waypoints, obstacles, dataclasses.replace(settings, corner_tolerance_rad=tolerance))
-        clock.lap("timing")
-        ask(should_stop)
-        broken = contract_violations(obstacles.robot, trajectory, q_measured, settings)
-        if broken:
-            raise Refusal(Status.PATH_INVALID, "; ".join(broken))
-        hit = hit_of(checker, trajectory.configurations(CERTIFIED_STEP_RAD), should_stop)
-        clock.lap("certificate")
-        if hit is None:
-            return trajectory
-    raise Refusal(Status.PATH_INVALID, f"the exact check refuses the timed motion: {hit}")
 
 
 def follow(

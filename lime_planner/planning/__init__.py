@@ -1,1 +1,1 @@
-"""The search, which knows neither ROS nor clouds: spaces it can run on, the potential field, the tree and the planners."""
+"""The search, which knows neither ROS nor clouds: spaces that it can run on, and the planners."""

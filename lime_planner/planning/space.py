@@ -17,7 +17,7 @@ from typing import Any
 import numba.types
 import numpy as np
 
-from lime_planner.core.jit import inline_kernel, overload
+from lime_planner.core.jit import inline_kernel, kernel, overload
 from lime_planner.core.types import Array
 
 N_STATES = 0  #: counter: configurations evaluated one by one
@@ -103,3 +103,15 @@ def _euclidean(space: Any, a: Any, b: Any) -> Any:
         return np.sqrt(total)
 
     return implementation
+
+
+@kernel
+def one(space: Any, q: Any) -> Any:
+    """Evaluate one configuration (`space.evaluate`)."""
+    return evaluate(space, q)
+
+
+@kernel
+def line(space: Any, a: Any, b: Any, weight: float, bound: float) -> Any:
+    """Evaluate one edge (`space.edge`)."""
+    return edge(space, a, b, weight, bound)

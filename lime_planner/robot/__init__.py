@@ -1,1 +1,1 @@
-"""The arm: model from a URDF, kinematics, inverse kinematics, and the exact collision check."""
+"""The arm: its model from a URDF, meshes, kinematics and inverse kinematics."""

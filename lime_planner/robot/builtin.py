@@ -1,4 +1,4 @@
-"""The arms that need no file from the user: where their descriptions come from, and where they stand when nobody says.
+"""The arms that need no file from the user: where their descriptions come from, and where they stand unless a start is given.
 
 `kinova_j2s6s200` (spherical wrist, two fingers) is read from the package `example-robot-data`, which brings URDF and meshes.
 `kinova_j2n6s300` (non-spherical wrist, three fingers) is described in `urdf/kinova_j2n6s300.urdf` of this package with primitive

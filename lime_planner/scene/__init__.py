@@ -1,4 +1,4 @@
-"""What stands in front of the arm: scenes, their files, cleaning, distance fields, and the generator of lime plants."""
+"""What stands in front of the arm: scenes, their files and recordings, cleaning, and the generator of lime plants."""
 
 from __future__ import annotations
 

@@ -14,10 +14,9 @@ import numpy as np
 
 from lime_planner.core.base_motion import motion_since, seen_at_stamp
 from lime_planner.core.errors import ProblemError, Refusal, SceneError
-from lime_planner.core.geometry import matrix_to_pose, pose_to_matrix
+from lime_planner.core.geometry import clean_name, matrix_to_pose, pose_to_matrix
 from lime_planner.core.status import Status
 from lime_planner.core.transform_history import TF_HISTORY_S, NoTransform, TransformHistory
-from lime_planner.core.transforms import clean_name
 from lime_planner.core.types import Array
 from lime_planner.scene.bag import CLOUD, JOINTS, POSE, Recorded, Recording
 from lime_planner.scene.files import Start

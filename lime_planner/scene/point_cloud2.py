@@ -1,4 +1,4 @@
-"""The points of a sensor_msgs/PointCloud2, whoever read the message: fields by name, every number type, byte order and padding."""
+"""The points of a sensor_msgs/PointCloud2, from rclpy or from a recording: fields by name, every number type, byte order and padding."""
 
 from __future__ import annotations
 

@@ -275,7 +275,7 @@ class Scene:
             target_position: (3,) [m], or None to keep all fruit.
             radius_m: how far from the target its fruit may be.
         """
-        from lime_planner.scene.voxels import linked  # compiled; whoever only reads a scene need not load Numba
+        from lime_planner.scene.voxels import linked  # compiled; reading a scene must not load Numba
 
         if target_position is None or not len(self.fruit_points):
             return np.concatenate([self.stem_points, self.fruit_points])

@@ -30,7 +30,7 @@ class Access:
 
     Attributes:
         host: address that the server is bound to.
-        token: what a browser must know to operate the page from another machine; empty: nobody operates it from there.
+        token: what a browser must know to operate the page from another machine; empty: it cannot be operated from there.
     """
 
     host: str = "127.0.0.1"
@@ -103,7 +103,7 @@ class Access:
             return False
         try:
             ipaddress.ip_address(name)
-            return True  # an address was not resolved by anybody's name server
+            return True  # an address was not resolved by a name server
         except ValueError:
             own = socket.gethostname().lower()
             return name in (own, own.split(".")[0], f"{own.split('.')[0]}.local", socket.getfqdn().lower(), self.host.lower())

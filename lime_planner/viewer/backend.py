@@ -1,7 +1,7 @@
-"""What the page asks of whoever plans and moves: a scene file's desk (`lime_planner.viewer.scene_backend`) or a running planner node.
+"""What the page asks of what plans and moves: a scene file's backend (`lime_planner.viewer.scene_backend`) or a running planner node.
 
-The page looks at one immutable `Moment` some twenty times a second and compares what it holds by identity; it never waits for
-anybody, and nobody ever waits for it.
+The page looks at one immutable `Moment` some twenty times a second and compares what it holds by identity; it never waits for the
+backend, nor the backend for it.
 """
 
 from __future__ import annotations

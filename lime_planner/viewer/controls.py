@@ -193,7 +193,7 @@ def ask_before_moving(client: Any, shown: PlanRecord, *, real: bool, go: Callabl
     with modal:
         client.gui.add_markdown(
             f"{which} will carry out **plan {shown.number}**: {duration_s:.1f} s of motion."
-            + ("\n\nIs everybody out of its reach?" if real else "")
+            + ("\n\nIs everyone out of its reach?" if real else "")
         )
         yes = client.gui.add_button("Move the arm", color="orange", icon="player-track-next")
         no = client.gui.add_button("Cancel", icon="x")

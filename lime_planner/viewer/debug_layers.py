@@ -11,7 +11,7 @@ import numpy as np
 from lime_planner.collision.distance_fields import Fields
 from lime_planner.core.types import Float32, UInt8
 from lime_planner.output.picture import FREE_PATH, LEAFY_PATH
-from lime_planner.output.search_tree import Grown, grow_again
+from lime_planner.output.search_tree import SearchTree, search_tree_of
 from lime_planner.pipeline import Pipeline
 from lime_planner.pipeline.plan_record import PlanRecord
 from lime_planner.viewer.backend import Moment
@@ -67,19 +67,19 @@ class Extras:
         if shown is None or pipeline is None or not shown.found:
             return
         self._tree_note = "the search is run again for its tree"
-        future = self._pool.submit(grow_again, pipeline, shown, should_stop=lambda: self._tree_of is not shown)
+        future = self._pool.submit(search_tree_of, pipeline, shown, should_stop=lambda: self._tree_of is not shown)
         future.add_done_callback(lambda done: None if done.cancelled() else self._note(lambda: self._put_tree(shown, done.result())))
 
-    def _put_tree(self, shown: PlanRecord, grown: Grown) -> None:
+    def _put_tree(self, shown: PlanRecord, tree: SearchTree) -> None:
         if shown is not self._tree_of:
             return
-        thin = "" if len(grown.segments) == grown.total else f"{len(grown.segments):,} of "
-        self._tree_note = f"search tree: {thin}{grown.total:,} edges" if grown.total else "search tree: empty, first paths took all time"
-        if grown.total:
-            colours = np.where(grown.leafy[:, None, None, None], rgb(LEAFY_PATH), rgb(FREE_PATH)).astype(np.uint8)
-            colours = np.broadcast_to(colours, grown.segments.shape).reshape(-1, 2, 3)
+        thin = "" if len(tree.segments) == tree.total else f"{len(tree.segments):,} of "
+        self._tree_note = f"search tree: {thin}{tree.total:,} edges" if tree.total else "search tree: empty, first paths took all time"
+        if tree.total:
+            colours = np.where(tree.leafy[:, None, None, None], rgb(LEAFY_PATH), rgb(FREE_PATH)).astype(np.uint8)
+            colours = np.broadcast_to(colours, tree.segments.shape).reshape(-1, 2, 3)
             self._tree = self._api.add_line_segments(
-                "/tree", grown.segments.reshape(-1, 2, 3), colours, thickness=1.0, thickness_units="screen"
+                "/tree", tree.segments.reshape(-1, 2, 3), colours, thickness=1.0, thickness_units="screen"
             )
 
     def _draw_spheres(self, pipeline: Pipeline | None, ghost: Arm | None) -> None:

@@ -1,4 +1,4 @@
-"""The page's empty state: says what to do, and where scenes can be opened, does it."""
+"""The page before there is a scene: what to do, and buttons that open a scene where the backend takes one."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from lime_planner.viewer.backend import Backend, Moment
 _SUFFIXES = (".npz", ".ply", ".pcd")
 
 
-class Starting:
+class EmptyPage:
     """What stands at the top of the panel as long as there is nothing to see."""
 
     def __init__(self, gui: Any, backend: Backend, note: Callable[[Callable[[], None]], None]) -> None:

@@ -12,10 +12,9 @@ from scipy.spatial.transform import Rotation
 
 from lime_planner.core.types import Array, Bool, Float32, Int32, Int64
 from lime_planner.output.picture import ARM, FREE_PATH, LEAFY_PATH, LIME, STEM
-from lime_planner.output.timeline import Insight
+from lime_planner.output.timeline import Timeline
 from lime_planner.robot.model import Robot
 from lime_planner.scene.scene import Scene
-from lime_planner.viewer.nodes import set_visible
 
 Colour = tuple[int, int, int]
 
@@ -27,6 +26,12 @@ POINTS_SHOWN = 40_000
 _TRIANGLES_OF_A_LINK = 3000
 _TONES = (0.82, 0.94, 1.06, 1.18)  # of leaves, so that one stands out from the next
 _PATH_THICKNESS_M = 0.006
+
+
+def set_visible(handle: Any, visible: bool) -> None:
+    """Show or hide a node; nothing is sent to the browsers where nothing changes."""
+    if bool(handle.visible) != visible:
+        handle.visible = visible
 
 
 def rgb(colour: tuple[float, float, float], tone: float = 1.0) -> Colour:
@@ -207,10 +212,10 @@ def ghost_arm(api: Any, robot: Robot) -> Arm:
 class ToolPath:
     """The tool's way, blue where the arm is free, orange where any part of it touches leaves."""
 
-    def __init__(self, api: Any, insight: Insight) -> None:
+    def __init__(self, api: Any, timeline: Timeline) -> None:
         """Add the line, and an empty place for what is touched."""
-        pieces = np.stack([insight.tool[:-1], insight.tool[1:]], axis=1).astype(np.float32)
-        touching = np.maximum(insight.leaf[:-1], insight.leaf[1:]) > 0.0
+        pieces = np.stack([timeline.tool[:-1], timeline.tool[1:]], axis=1).astype(np.float32)
+        touching = np.maximum(timeline.leaf[:-1], timeline.leaf[1:]) > 0.0
         colours = np.where(touching[:, None, None], rgb(LEAFY_PATH), rgb(FREE_PATH)).astype(np.uint8)
         self._line = api.add_line_segments("/path", pieces, np.broadcast_to(colours, pieces.shape), thickness=_PATH_THICKNESS_M)
 
@@ -226,12 +231,12 @@ class ToolPath:
 class Touched:
     """The leaves that the arm touches at the slider's moment, lit up; those touched before it, dimmed."""
 
-    def __init__(self, api: Any, scene: Scene, insight: Insight) -> None:
+    def __init__(self, api: Any, scene: Scene, timeline: Timeline) -> None:
         """Prepare; nothing is lit before the first `light`."""
         self._api = api
-        self._insight = insight
-        self._points = scene.leaf_points[insight.leaf_points]
-        self._leaves = None if scene.leaf_ids is None or scene.leaf_triangle_ids is None else scene.leaf_ids[insight.leaf_points]
+        self._timeline = timeline
+        self._points = scene.leaf_points[timeline.leaf_points]
+        self._leaves = None if scene.leaf_ids is None or scene.leaf_triangle_ids is None else scene.leaf_ids[timeline.leaf_points]
         self._scene = scene
         self._sample = -1
         self._keys: list[bytes] = [b"", b""]
@@ -239,11 +244,11 @@ class Touched:
         self._visible = True
 
     def light(self, sample: int) -> int:
-        """Light what is touched at a sample of the insight; return the number of leaves (of points, where leaves are not known)."""
-        now = self._insight.touched[sample]
+        """Light what is touched at a sample of the timeline; return the number of leaves (of points, where leaves are not known)."""
+        now = self._timeline.touched[sample]
         if sample != self._sample:
             self._sample = sample
-            before = self._insight.touched[: sample + 1].any(axis=0) & ~now
+            before = self._timeline.touched[: sample + 1].any(axis=0) & ~now
             self._draw(0, "/touched/now", now, rgb(LEAFY_PATH), 0.009)
             self._draw(1, "/touched/before", before, rgb((0.96, 0.72, 0.48)), 0.006)
         return self.count(now)

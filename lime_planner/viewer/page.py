@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from lime_planner.output.timeline import Insight, look_into
+from lime_planner.output.timeline import Timeline, timeline_of
 from lime_planner.pipeline.plan_record import PlanRecord
 from lime_planner.robot.model import Robot
 from lime_planner.scene.scene import Scene
@@ -21,7 +21,7 @@ from lime_planner.viewer.access import Access
 from lime_planner.viewer.backend import Activity, Backend, Moment, Wishes
 from lime_planner.viewer.controls import Commands, Controls, ask_before_moving
 from lime_planner.viewer.debug_layers import Extras
-from lime_planner.viewer.empty_page import Starting
+from lime_planner.viewer.empty_page import EmptyPage
 from lime_planner.viewer.layers import Arm, Plant, ToolPath, Touched, ghost_arm, measured_arm
 from lime_planner.viewer.player import Player
 from lime_planner.viewer.plots import Plots
@@ -55,7 +55,7 @@ class Page:
         self._robot: Robot | None = None
         self._scene: Scene | None = None
         self._shown: PlanRecord | None = None
-        self._insight: Insight | None = None
+        self._timeline: Timeline | None = None
         self._arm: Arm | None = None
         self._ghost: Arm | None = None
         self._plant: Plant | None = None
@@ -99,7 +99,7 @@ class Page:
         )
         server.initial_camera.position = (0.95, -1.15, 0.95)
         server.initial_camera.look_at = (0.38, 0.0, 0.46)
-        self._starting = Starting(gui, self._backend, self._note)
+        self._starting = EmptyPage(gui, self._backend, self._note)
         commands = Commands(self._on_plan, self._on_execute, self._on_stop, self._on_reset_target, lambda _: None)
         self._controls = Controls(gui, moment.settings, commands, player=lambda: Player(gui))
         self._player: Player = self._controls.player
@@ -186,29 +186,29 @@ class Page:
         for layer in (self._path, self._touched):
             if layer is not None:
                 layer.remove()
-        self._path = self._touched = self._insight = None
+        self._path = self._touched = self._timeline = None
         shown = self._shown = moment.shown
         if shown is not None and shown.found and moment.pipeline is not None:
-            self._insight = look_into(moment.pipeline, shown)
-            self._path = ToolPath(self._server.scene, self._insight)
-            self._touched = Touched(self._server.scene, shown.scene, self._insight)
-        timed = self._insight is not None and self._insight.timed
-        self._player.load(self._insight.duration_s if self._insight else 0.0, unit="s" if timed else "rad", play=moment.moving_s is None)
-        self._plots.load(self._insight)
-        self._empty_plots.visible = self._insight is None
+            self._timeline = timeline_of(moment.pipeline, shown)
+            self._path = ToolPath(self._server.scene, self._timeline)
+            self._touched = Touched(self._server.scene, shown.scene, self._timeline)
+        timed = self._timeline is not None and self._timeline.timed
+        self._player.load(self._timeline.duration_s if self._timeline else 0.0, unit="s" if timed else "rad", play=moment.moving_s is None)
+        self._plots.load(self._timeline)
+        self._empty_plots.visible = self._timeline is None
         self._marked_s = -1.0
 
     def _draw_moving(self, moment: Moment) -> str:
         """What the slider's moment moves; return what is touched then, in words."""
-        controls, insight = self._controls, self._insight
+        controls, timeline = self._controls, self._timeline
         if moment.moving_s is not None:
             self._player.follow(moment.moving_s)
         t_s = self._player.step()
         words = ""
-        if insight is not None and self._ghost is not None and self._touched is not None:
-            self._ghost.place(insight.configuration(t_s))
-            count = self._touched.light(insight.at(t_s))
-            ever = self._touched.count(np.ones(len(insight.leaf_points), dtype=bool))
+        if timeline is not None and self._ghost is not None and self._touched is not None:
+            self._ghost.place(timeline.configuration(t_s))
+            count = self._touched.light(timeline.at(t_s))
+            ever = self._touched.count(np.ones(len(timeline.leaf_points), dtype=bool))
             words = f"{self._touched.unit}: <b>{count}</b> now, {ever} on the whole way"
             if abs(t_s - self._marked_s) > 0.01:
                 self._marked_s = t_s
@@ -220,7 +220,7 @@ class Page:
         if self._arm is not None:
             self._arm.show(controls.shows("arm"))
         if self._ghost is not None:
-            self._ghost.show(controls.shows("ghost") and insight is not None and moment.moving_s is None)
+            self._ghost.show(controls.shows("ghost") and timeline is not None and moment.moving_s is None)
         if self._path is not None:
             self._path.show(controls.shows("path"))
         if self._touched is not None:

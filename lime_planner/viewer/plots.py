@@ -8,7 +8,7 @@ import numpy as np
 
 from lime_planner.core.types import Array
 from lime_planner.output.picture import FREE_PATH, LEAFY_PATH, STEM
-from lime_planner.output.timeline import CLEARANCE_SHOWN_M, Insight
+from lime_planner.output.timeline import CLEARANCE_SHOWN_M, Timeline
 
 _HEIGHT = 190
 _CEILING_MM = 1080.0 * CLEARANCE_SHOWN_M
@@ -49,37 +49,37 @@ class Plots:
             height=_HEIGHT,
             visible=False,
         )
-        self._insight: Insight | None = None
+        self._timeline: Timeline | None = None
         self._top = 1.0
 
-    def load(self, insight: Insight | None) -> None:
+    def load(self, timeline: Timeline | None) -> None:
         """Show a plan, or hide the charts."""
-        self._insight = insight
-        self._clearance.visible = self._cost.visible = insight is not None
-        if insight is None:
+        self._timeline = timeline
+        self._clearance.visible = self._cost.visible = timeline is not None
+        if timeline is None:
             return
-        self._top = max(1e-3, 1.08 * float(insight.cost[-1]))
+        self._top = max(1e-3, 1.08 * float(timeline.cost[-1]))
         self._cost.scales = {"x": {"time": False}, "y": {"auto": False, "range": (0.0, self._top)}}
-        self._clearance.axes = self._cost.axes = _axes("time [s]" if insight.timed else "along the path [rad]")
+        self._clearance.axes = self._cost.axes = _axes("time [s]" if timeline.timed else "along the path [rad]")
         self.mark(0.0)
 
     def mark(self, t_s: float) -> None:
         """Mark a moment."""
-        insight = self._insight
-        if insight is None:
+        timeline = self._timeline
+        if timeline is None:
             return
         # A spike, three points wide, is an upright line in a chart whose series share their abscissae.
-        hair = 1e-4 * max(insight.duration_s, 1e-3)
-        moment = np.clip(t_s, 2.0 * hair, max(insight.duration_s - 2.0 * hair, 3.0 * hair))
-        times = np.sort(np.concatenate([insight.times_s, moment + hair * np.array([-1.0, 0.0, 1.0])]))
+        hair = 1e-4 * max(timeline.duration_s, 1e-3)
+        moment = np.clip(t_s, 2.0 * hair, max(timeline.duration_s - 2.0 * hair, 3.0 * hair))
+        times = np.sort(np.concatenate([timeline.times_s, moment + hair * np.array([-1.0, 0.0, 1.0])]))
         spike = (times == moment).astype(np.float64)
 
         def along(values: Array) -> Array:
-            return np.asarray(np.interp(times, insight.times_s, values))
+            return np.asarray(np.interp(times, timeline.times_s, values))
 
-        touching = np.interp(times, insight.times_s, (insight.leaf > 0.0).astype(np.float64)) > 0.5
-        cost = along(insight.cost)
-        self._clearance.data = (times, 1000.0 * along(insight.clearance_m), _CEILING_MM * spike)
+        touching = np.interp(times, timeline.times_s, (timeline.leaf > 0.0).astype(np.float64)) > 0.5
+        cost = along(timeline.cost)
+        self._clearance.data = (times, 1000.0 * along(timeline.clearance_m), _CEILING_MM * spike)
         self._cost.data = (times, cost, np.where(touching, cost, 0.0), self._top * spike)
 
 

@@ -43,7 +43,7 @@ class _Motion:
         return time.monotonic() - self.began_s
 
 
-class Desk:
+class SceneBackend:
     """The backend for scene files and saved plans (see `lime_planner.viewer.backend.Backend`)."""
 
     real = False
@@ -88,7 +88,7 @@ class Desk:
         self._message = "loading the arm's model"
         with self._lock:
             self._submit(lambda _: self._load(load_robot, saved))
-        self._thread = threading.Thread(target=self._run, name="desk", daemon=True)
+        self._thread = threading.Thread(target=self._run, name="backend", daemon=True)
         self._thread.start()
 
     @property
@@ -236,7 +236,7 @@ class Desk:
             self._running.set()
         self._lock.notify_all()
 
-    # -- in the desk's thread -------------------------------------------------------------------------------------------------
+    # -- in the backend's thread -------------------------------------------------------------------------------------------------
 
     def _run(self) -> None:
         while True:

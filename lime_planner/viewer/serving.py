@@ -1,6 +1,6 @@
 """Viser's server, bound to loopback unless told otherwise, with the rules of `lime_planner.viewer.access` in front of it.
 
-Viser itself looks at neither `Host` nor `Origin`, and takes every message from everybody. Its one way in is the `serve` of the
+Viser itself looks at neither `Host` nor `Origin`, and takes every message from every browser. Its one way in is the `serve` of the
 library websockets, which it looks up when it starts: while it does, we hand it ours. Ours asks `Access` before the handshake, and
 passes messages on only from browsers that may operate the page; the others can look and move their own camera. A version of
 viser that opens its port in another way is not served at all.
@@ -10,18 +10,22 @@ from __future__ import annotations
 
 import contextlib
 import http
+import os
 import socket
+import sys
 import threading
+import webbrowser
 from collections.abc import Awaitable, Callable, Iterator
 from typing import Any
 
 from lime_planner.core.errors import ParameterError
+from lime_planner.core.signals import EndSignals
 from lime_planner.viewer.access import Access
 
 _starting = threading.Lock()
 #: Messages that show something to their sender alone. Everything else changes what all browsers see, or moves an arm.
 _LOOKING = ("ViewerCameraMessage",)
-#: Messages that nobody may send: they would open a tunnel to a server on the internet.
+#: Messages that no browser may send: they would open a tunnel to a server on the internet.
 _NEVER = ("ShareUrlRequest", "ShareUrlDisconnect")
 _PORTS_TRIED = 20
 _HEADERS = {
@@ -172,3 +176,27 @@ def _filtered(handler: Callable[[Any], Awaitable[None]], access: Access) -> Call
         await handler(connection)
 
     return handle
+
+
+DEFAULT_PORT = 8080
+
+
+def announce(url: str, access: Access, *, open_browser: bool) -> None:
+    """Say where the page is, and open it where there is a desktop."""
+    print(f"the page is at {url}   (Ctrl-C ends it)", flush=True)
+    if not access.local:
+        who = "browsers that open this very address may use the buttons" if access.token else "they may look only"
+        print(f"other machines can open it; {who}", flush=True)
+    if open_browser and (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY") or sys.platform == "darwin"):
+        with contextlib.suppress(webbrowser.Error):
+            webbrowser.open(url)
+
+
+@contextlib.contextmanager
+def until_signal() -> Iterator[EndSignals]:
+    """Yield what waits for the first Ctrl-C or SIGTERM."""
+    signals = EndSignals()
+    try:
+        yield signals
+    finally:
+        signals.close()

@@ -9,7 +9,7 @@ import numpy as np
 from lime_planner.core.geometry import pose_to_matrix
 from lime_planner.core.types import Array
 from lime_planner.viewer.controls import Controls
-from lime_planner.viewer.nodes import set_visible
+from lime_planner.viewer.layers import set_visible
 
 _ARROW_M = 0.09
 

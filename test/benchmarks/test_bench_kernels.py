@@ -18,7 +18,7 @@ from lime_planner.cli.main import main
 from lime_planner.core.errors import ParameterError
 from lime_planner.core.jit import kernel
 from lime_planner.experiments.problems import ProblemSpec, SceneSpec, build_problem, find_problem
-from lime_planner.pipeline.finish import sample_path
+from lime_planner.pipeline.figures import sample_path
 from lime_planner.pipeline.goals import measure
 from lime_planner.planning.lime_star import planner as lime_star
 from lime_planner.planning.lime_star import run as lime_run

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from lime_planner.cli import main as cli
-from lime_planner.cli.plan import label_options, read_parameters
+from lime_planner.cli.arguments import label_options, read_parameters
 from lime_planner.core.geometry import pose_to_matrix
 from lime_planner.motion.contract import violations
 from lime_planner.motion.trajectory import Trajectory

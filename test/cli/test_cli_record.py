@@ -14,6 +14,7 @@ from arm_helpers import robot_named
 from live_robot import HOME, JOINTS, Robot
 from test_from_recording import at_x, cloud, joints, pose, write
 
+from lime_planner.cli import arguments
 from lime_planner.cli import main as cli
 from lime_planner.cli import plan as cli_plan
 from lime_planner.core.geometry import matrix_to_pose
@@ -36,8 +37,9 @@ def robot() -> Iterator[Robot]:
 @pytest.fixture(autouse=True)
 def surroundings(monkeypatch: pytest.MonkeyPatch) -> None:
     """A domain of this test's own, and an arm that is loaded once."""
-    load = cli_plan.load_arm
-    monkeypatch.setattr(cli_plan, "load_arm", lambda settings: load(settings) if settings.robot == "topic" else robot_named())
+    load = arguments.load_arm
+    for module in (arguments, cli_plan):
+        monkeypatch.setattr(module, "load_arm", lambda settings: load(settings) if settings.robot == "topic" else robot_named())
     monkeypatch.setenv("ROS_DOMAIN_ID", str(DOMAIN))
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
 

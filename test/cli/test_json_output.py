@@ -16,7 +16,7 @@ from lime_planner.cli import main as cli
 from lime_planner.cli.json_output import emit_json
 from lime_planner.core.errors import ParameterError
 from lime_planner.core.parameters import NODE_PARAMETERS, PARAMETERS
-from lime_planner.output import progress
+from lime_planner.output import console as terminal
 
 
 def answer(capsys: pytest.CaptureFixture[str], *arguments: Any) -> Any:
@@ -99,18 +99,18 @@ def test_an_outcome_never_takes_the_place_of_something_else(tmp_path: Path, caps
 
 def test_a_bar_on_a_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
     shown = io.StringIO()
-    monkeypatch.setattr(progress, "console", lambda error: Console(file=shown, force_terminal=True, width=80))
-    with progress.working("growing", total=2) as bar:
+    monkeypatch.setattr(terminal, "console", lambda error: Console(file=shown, force_terminal=True, width=80))
+    with terminal.working("growing", total=2) as bar:
         bar.say("growing leaves")
         bar.advance()
     assert "growing leaves" in shown.getvalue()
-    with progress.working("planning", seconds=0.2):
+    with terminal.working("planning", seconds=0.2):
         time.sleep(0.25)
     assert "planning" in shown.getvalue()
 
 
 def test_no_bar_elsewhere(capsys: pytest.CaptureFixture[str]) -> None:
-    with progress.working("growing") as bar:
+    with terminal.working("growing") as bar:
         bar.say("growing leaves")
         bar.advance()
     assert capsys.readouterr() == ("", "")

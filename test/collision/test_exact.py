@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from lime_planner.collision.exact import ExactChecker
-from lime_planner.collision.point_blocks import make_blocks
+from lime_planner.collision.exact_kernels import make_blocks
 from lime_planner.core.errors import ProblemError
 from lime_planner.robot.model import Robot, home, load_robot, robot_from_urdf
 

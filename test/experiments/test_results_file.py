@@ -88,7 +88,7 @@ def test_a_run_that_fails_at_once_leaves_no_file_in_the_way(tmp_path: Path) -> N
 KILLED = """\
 import os, signal, sys
 from pathlib import Path
-from test_collection import plan
+from test_results_file import plan
 from lime_planner.experiments import collection
 import dataclasses
 
@@ -104,7 +104,7 @@ collection.collect(dataclasses.replace(plan(range(6)), run=run), Path(sys.argv[1
 
 def test_a_killed_run_keeps_every_finished_trial(tmp_path: Path) -> None:
     path = tmp_path / "results.json"
-    environment = {**os.environ, "PYTHONPATH": f"{ROOT}{os.pathsep}{ROOT / 'test'}"}
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), str(ROOT / 'test'), str(Path(__file__).parent)])}
     died = subprocess.run([sys.executable, "-c", KILLED, str(path)], env=environment, cwd=tmp_path, timeout=120, check=False)
     assert died.returncode == -signal.SIGKILL
     assert numbers_in(json.loads(path.read_text())["trials"]) == [0]

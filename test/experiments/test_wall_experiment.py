@@ -17,12 +17,13 @@ import numpy as np
 import pytest
 
 from lime_planner.core.errors import ParameterError, SceneError
+from lime_planner.experiments.analysis.tables import values
 from lime_planner.experiments.runs.parallel import run_trials
 from lime_planner.experiments.runs.results_file import load_results
 from lime_planner.experiments.wall import command as wall
 from lime_planner.experiments.wall import trials as wall_trials
 from lime_planner.experiments.wall.reference import MARKS, ROWS
-from lime_planner.experiments.wall.report import claims, statistics_text, table_text, tolerance, values, yardstick
+from lime_planner.experiments.wall.report import claims, statistics_text, table_text, tolerance, yardstick
 from lime_planner.experiments.wall.trials import WallOptions, collect, options_from
 from lime_planner.planning.spaces.plane import load_world, random_wall, wall_g
 

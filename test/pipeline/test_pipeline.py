@@ -19,7 +19,7 @@ from lime_planner.core.parameters import Settings
 from lime_planner.core.status import Status
 from lime_planner.motion.trajectory import Trajectory
 from lime_planner.pipeline import PlanResult
-from lime_planner.pipeline.finish import contract_violations
+from lime_planner.pipeline.certify import contract_violations
 from lime_planner.robot.model import home
 from lime_planner.scene.plants.grasp_targets import canopy_targets, lime_targets
 from lime_planner.scene.scene import Scene
@@ -121,7 +121,7 @@ def test_the_papers_planners_go_the_same_way(planner: str) -> None:
 
 def test_clearance_is_the_meshes_own() -> None:
     """`min_stem_clearance_m` against the exact distances along the path."""
-    from lime_planner.pipeline.finish import MEASURED_STEP_RAD, sample_path
+    from lime_planner.pipeline.figures import MEASURED_STEP_RAD, sample_path
 
     for name in ("plant", "h01p429"):
         scene, T = problem(name)

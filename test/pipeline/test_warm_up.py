@@ -14,7 +14,7 @@ from lime_planner.core.planners import PLANNERS
 from lime_planner.pipeline import Pipeline
 from lime_planner.core.geometry import pose_to_matrix
 from lime_planner.robot.model import home, load_robot
-from lime_planner.collision.arm_filter_live import make_arm_filter
+from lime_planner.collision.arm_filter import make_arm_filter
 from lime_planner.scene.plants.generator import generate_plant
 from lime_planner.scene.scene import Scene
 

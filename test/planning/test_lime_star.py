@@ -19,7 +19,7 @@ from lime_planner.core.errors import ProblemError
 from lime_planner.core.jit import kernel
 from lime_planner.core.status import Status
 from lime_planner.experiments.wall.optimum import plane_optimum
-from lime_planner.pipeline.finish import sample_path
+from lime_planner.pipeline.figures import sample_path
 from lime_planner.planning.lime_star.options import LimeOptions, LimeOutcome
 from lime_planner.planning.lime_star.planner import plan_lime, warm_up
 from lime_planner.planning.space import edge, evaluate

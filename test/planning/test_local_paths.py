@@ -9,13 +9,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lime_planner.planning.ellipsoid import draw_between
 from lime_planner.planning.lime_star.options import LimeOptions
 from lime_planner.planning.lime_star.polish import polish
 from lime_planner.planning.lime_star.run import Run
 from lime_planner.planning.lime_star.tracks import Tracks, load_track, make_room, near_tracks, new_tracks, take_out
-from lime_planner.planning.sampling import random_state
-from lime_planner.planning.single import line
+from lime_planner.planning.sampling import draw_between, random_state
+from lime_planner.planning.space import line
 from lime_planner.planning.spaces.plane import PlaneWorld, random_wall, wall_g
 
 WEIGHT = 100.0 / 3.0
@@ -94,7 +93,7 @@ def test_paths_are_compared_along_their_lengths() -> None:
     tracks = load(free_plane().space(), straight, same, above, elsewhere)
     space = free_plane().space()
     assert near_tracks(space, tracks, 0, 1.0) == (1, 1)
-    assert near_tracks(space, tracks, 0, 4.5) == (2, 2)  # the dearest of them is named
+    assert near_tracks(space, tracks, 0, 4.5) == (2, 2)  # the most expensive of them is named
     assert near_tracks(space, tracks, 0, 0.1) == (0, -1)
     assert near_tracks(space, tracks, 3, 5.0)[0] == 0
     assert near_tracks(space, tracks, 0, math.inf)[0] == 3  # the empty track is none

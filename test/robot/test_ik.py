@@ -11,8 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lime_planner.core.errors import ProblemError
-from lime_planner.robot.ik import DEFAULT_STARTS, TURN, solve_ik
-from lime_planner.robot.ik_kernels import pose_error
+from lime_planner.robot.ik import DEFAULT_STARTS, TURN, pose_error, solve_ik
 from lime_planner.robot.model import Robot, home, load_robot, robot_from_urdf
 
 robot_named = cache(load_robot)

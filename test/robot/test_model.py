@@ -11,8 +11,7 @@ import yaml
 from lime_planner.core.errors import RobotError
 from lime_planner.robot.builtin import BUILTIN_ARMS, TOOL_RPY
 from lime_planner.robot.joint_limits import DEFAULT_ACCELERATION
-from lime_planner.robot.model import Robot, home, load_robot, robot_from_urdf
-from lime_planner.robot.pairs import touches_itself
+from lime_planner.robot.model import Robot, home, load_robot, robot_from_urdf, touches_itself
 
 BOX = '<collision><geometry><box size="0.1 0.1 0.1"/></geometry></collision>'
 

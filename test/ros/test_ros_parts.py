@@ -11,8 +11,7 @@ import pytest
 from builtin_interfaces.msg import Time
 from ros_fakes import FakePipeline, FakeRobot, result
 
-from lime_planner.collision.arm_filter import FAR_M, ArmSurface
-from lime_planner.collision.arm_filter_live import make_arm_filter
+from lime_planner.collision.arm_filter import FAR_M, ArmSurface, make_arm_filter
 from lime_planner.core.errors import Refusal, RobotError
 from lime_planner.core.parameters import settings_from
 from lime_planner.core.status import Status

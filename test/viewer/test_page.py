@@ -17,7 +17,7 @@ from lime_planner.viewer.access import Access
 from lime_planner.viewer.backend import Activity
 from lime_planner.viewer.debug_layers import slice_of
 from lime_planner.viewer.page import Page
-from lime_planner.viewer.scene_backend import Desk
+from lime_planner.viewer.scene_backend import SceneBackend
 
 pytestmark = pytest.mark.alone
 
@@ -30,16 +30,16 @@ def until(holds: Callable[[], bool], what: str, timeout_s: float = 60.0) -> None
 
 
 @pytest.fixture(scope="module")
-def desk() -> Iterator[Desk]:
-    made = Desk(robot_named, settings(iterations=8000, seed=3), scene=plant(15), title="plant")
+def backend() -> Iterator[SceneBackend]:
+    made = SceneBackend(robot_named, settings(iterations=8000, seed=3), scene=plant(15), title="plant")
     until(lambda: made.moment().activity is Activity.IDLE, "the planner", 120.0)
     yield made
     made.close()
 
 
 @pytest.fixture(scope="module")
-def served(desk: Desk) -> Iterator[Page]:
-    page = Page(desk, Access(), 0)
+def served(backend: SceneBackend) -> Iterator[Page]:
+    page = Page(backend, Access(), 0)
     yield page
     assert page.failure == ""
     page.close()
@@ -60,11 +60,11 @@ def tab(browser: Browser, served: Page) -> Iterator[Tab]:
 
 
 @pytest.fixture
-def planned(tab: Tab, desk: Desk, served: Page) -> Tab:
+def planned(tab: Tab, backend: SceneBackend, served: Page) -> Tab:
     """The page with a plan, its ghost arm at rest."""
-    if desk.moment().shown is None or desk.moment().blocked_motion:
+    if backend.moment().shown is None or backend.moment().blocked_motion:
         tab.press("Plan")
-        until(lambda: not desk.moment().blocked_motion and served._shown is desk.moment().shown, "the plan to be drawn")
+        until(lambda: not backend.moment().blocked_motion and served._shown is backend.moment().shown, "the plan to be drawn")
         until(lambda: served._player.playing, "the ghost arm to start by itself")
     served._player.playing = False
     return tab
@@ -113,31 +113,31 @@ def test_loads_within_five_seconds(browser: Browser, served: Page) -> None:
     assert min(times) < limit_s
 
 
-def test_plan_by_button(tab: Tab, desk: Desk, served: Page) -> None:
+def test_plan_by_button(tab: Tab, backend: SceneBackend, served: Page) -> None:
     tab.sees("press Plan")
     tab.press("Plan")
     tab.sees("A path is found; nothing has moved.")
     tab.sees("lime_star")
     until(lambda: served._player.t_s > 0.0, "the ghost arm to start by itself")
-    assert desk.moment().moving_s is None
+    assert backend.moment().moving_s is None
 
 
 def test_slider_moves_the_ghost_arm(planned: Tab, served: Page) -> None:
     canvas = planned.page.locator("canvas").first
-    assert served._insight is not None and served._ghost is not None
+    assert served._timeline is not None and served._ghost is not None
     pictures = []
     for share in (0.2, 0.8):
-        t_s = round(share * served._insight.duration_s, 2)
+        t_s = round(share * served._timeline.duration_s, 2)
         seek(planned, served, t_s)
-        wanted = served._insight.configuration(t_s)
+        wanted = served._timeline.configuration(t_s)
         until(lambda wanted=wanted: bool(np.allclose(served._ghost.q, wanted, atol=1e-3)), "the ghost arm")  # type: ignore[misc]
         time.sleep(0.5)
         pictures.append(canvas.screenshot())
     assert pictures[0] != pictures[1], "the browser draws the ghost arm somewhere else"
 
 
-def test_target_is_dragged_and_planned_to(planned: Tab, desk: Desk, served: Page) -> None:
-    before = desk.moment()
+def test_target_is_dragged_and_planned_to(planned: Tab, backend: SceneBackend, served: Page) -> None:
+    before = backend.moment()
     assert before.target is not None and before.shown is not None
     origin = before.target[:3]
     gizmo = served._marker._gizmo
@@ -162,37 +162,37 @@ def test_target_is_dragged_and_planned_to(planned: Tab, desk: Desk, served: Page
     assert 0.003 < np.linalg.norm(moved) < 0.15
     assert abs(moved @ axes[best]) > 0.99 * np.linalg.norm(moved), "along the arrow that was dragged"
     planned.press("Plan")
-    until(lambda: desk.moment().shown is not before.shown, "a plan to the dragged target")
-    shown = desk.moment().shown
+    until(lambda: backend.moment().shown is not before.shown, "a plan to the dragged target")
+    shown = backend.moment().shown
     assert shown is not None and shown.target is not None
     np.testing.assert_allclose(shown.target[:3], wish[:3], atol=1e-6)
 
 
-def test_stop_on_the_way(tab: Tab, desk: Desk, served: Page) -> None:
-    assert desk.moment().target is not None
-    desk.open(plant(15), "plant")  # the target is where it was
+def test_stop_on_the_way(tab: Tab, backend: SceneBackend, served: Page) -> None:
+    assert backend.moment().target is not None
+    backend.open(plant(15), "plant")  # the target is where it was
     until(lambda: served._shown is None, "the page to forget the plan")
     tab.press("Plan")
     tab.sees("A path is found; nothing has moved.")
     tab.press("Execute")
     tab.sees("Move the arm?")
-    start = desk.moment().q
+    start = backend.moment().q
     time.sleep(0.3)
-    np.testing.assert_array_equal(desk.moment().q, start)  # not before the answer
+    np.testing.assert_array_equal(backend.moment().q, start)  # not before the answer
     tab.press("Move the arm")
     tab.sees("The arm moves")
     tab.press("Stop")
     tab.sees("CANCELLED: stopped from the page")
-    until(lambda: desk.moment().activity is Activity.IDLE, "the arm to rest")
-    rested, shown = desk.moment().q, desk.moment().shown
+    until(lambda: backend.moment().activity is Activity.IDLE, "the arm to rest")
+    rested, shown = backend.moment().q, backend.moment().shown
     assert rested is not None and start is not None and shown is not None
     assert np.abs(rested - start).max() > 0.01 and np.abs(rested - shown.result.waypoints[-1]).max() > 0.01
     until(lambda: bool(np.array_equal(served._arm.q, rested)), "the page to show the arm where it rests")  # type: ignore[union-attr]
 
 
 def test_reload_and_second_browser(browser: Browser, planned: Tab, served: Page) -> None:
-    assert served._insight is not None and served._shown is not None
-    t_s = round(0.5 * served._insight.duration_s, 2)
+    assert served._timeline is not None and served._shown is not None
+    t_s = round(0.5 * served._timeline.duration_s, 2)
     seek(planned, served, t_s)
     planned.page.reload()
     second = Tab(browser, served.url)

@@ -12,27 +12,27 @@ import pytest
 from arm_helpers import pipeline_of, plant, robot_named, scene_of, settings
 
 from lime_planner.cli import main as cli
-from lime_planner.cli.view import _desk
+from lime_planner.cli.view import _backend
 from lime_planner.core.errors import ParameterError
 from lime_planner.core.geometry import pose_to_matrix
 from lime_planner.core.status import Status
 from lime_planner.output.animation import animate
 from lime_planner.output.saved_plan import read_plan
-from lime_planner.output.search_tree import grow_again
-from lime_planner.output.timeline import Insight, look_into
+from lime_planner.output.search_tree import search_tree_of
+from lime_planner.output.timeline import Timeline, timeline_of
 from lime_planner.pipeline import PlanResult
 from lime_planner.pipeline.plan_record import PlanRecord
 from lime_planner.robot.model import home
 from lime_planner.viewer.backend import Activity, Moment, Wishes
-from lime_planner.viewer.scene_backend import Desk
+from lime_planner.viewer.scene_backend import SceneBackend
 
 QUICK = {"iterations": 400, "seed": 3}
 
 
-def until(desk: Desk, holds: Callable[[Moment], bool], timeout_s: float = 120.0) -> Moment:
+def until(backend: SceneBackend, holds: Callable[[Moment], bool], timeout_s: float = 120.0) -> Moment:
     deadline = time.monotonic() + timeout_s
     while True:
-        moment = desk.moment()
+        moment = backend.moment()
         if holds(moment):
             return moment
         assert time.monotonic() < deadline, moment.message
@@ -40,8 +40,8 @@ def until(desk: Desk, holds: Callable[[Moment], bool], timeout_s: float = 120.0)
 
 
 @pytest.fixture(scope="module")
-def desk() -> Iterator[Desk]:
-    made = Desk(robot_named, settings(**QUICK), scene=plant(15), title="plant")
+def backend() -> Iterator[SceneBackend]:
+    made = SceneBackend(robot_named, settings(**QUICK), scene=plant(15), title="plant")
     until(made, lambda moment: moment.activity is Activity.IDLE)
     yield made
     made.close()
@@ -57,105 +57,107 @@ def shown() -> PlanRecord:
 
 
 @pytest.fixture(scope="module")
-def insight(shown: PlanRecord) -> Insight:
-    return look_into(pipeline_of(), shown)
+def timeline(shown: PlanRecord) -> Timeline:
+    return timeline_of(pipeline_of(), shown)
 
 
-def test_plan_execute_stop(desk: Desk) -> None:
-    desk.execute(1)
-    assert "press Plan first" in desk.moment().message
-    desk.plan(Wishes())
-    moment = until(desk, lambda moment: moment.shown is not None and moment.activity is Activity.IDLE)
+def test_plan_execute_stop(backend: SceneBackend) -> None:
+    backend.execute(1)
+    assert "press Plan first" in backend.moment().message
+    backend.plan(Wishes())
+    moment = until(backend, lambda moment: moment.shown is not None and moment.activity is Activity.IDLE)
     assert moment.shown is not None and moment.shown.result.status is Status.SUCCEEDED
     assert moment.message == moment.shown.result.message and not moment.blocked_motion
     trajectory = moment.shown.result.trajectory
     assert trajectory is not None and moment.q is not None
     np.testing.assert_allclose(moment.q, home(robot_named()))
-    desk.execute(moment.shown.number + 1)
-    assert "a newer plan" in desk.moment().message
-    desk.execute(moment.shown.number)
-    moving = until(desk, lambda moment: moment.moving_s is not None and moment.moving_s > 0.5)
+    backend.execute(moment.shown.number + 1)
+    assert "a newer plan" in backend.moment().message
+    backend.execute(moment.shown.number)
+    moving = until(backend, lambda moment: moment.moving_s is not None and moment.moving_s > 0.5)
     assert moving.activity is Activity.MOVING and "press Stop first" in moving.blocked_plan
-    desk.plan(Wishes())  # not while it moves
-    desk.stop()
-    rested = until(desk, lambda moment: moment.activity is Activity.IDLE)
+    backend.plan(Wishes())  # not while it moves
+    backend.stop()
+    rested = until(backend, lambda moment: moment.activity is Activity.IDLE)
     assert rested.message.startswith("CANCELLED") and rested.q is not None
     # The arm stopped on its path, somewhere in between.
     off = np.abs(trajectory.sample(np.linspace(0.0, trajectory.duration_s, 4000)) - rested.q).max(axis=1)
     assert off.min() < 0.01 < min(off[0], off[-1])
     assert "no longer stands where the plan begins" in rested.blocked_motion
-    desk.plan(Wishes())
-    again = until(desk, lambda moment: moment.shown is not None and moment.shown.number == 2 and moment.activity is Activity.IDLE)
+    backend.plan(Wishes())
+    again = until(backend, lambda moment: moment.shown is not None and moment.shown.number == 2 and moment.activity is Activity.IDLE)
     assert again.shown is not None
     np.testing.assert_allclose(again.shown.result.waypoints[0], rested.q)
 
 
-def test_wishes_count_for_one_plan(desk: Desk) -> None:
-    before = desk.moment()
+def test_wishes_count_for_one_plan(backend: SceneBackend) -> None:
+    before = backend.moment()
     assert before.target is not None
     number = before.shown.number if before.shown is not None else 0
     moved = before.target + np.array([0.0, 0.01, 0.0, 0.0, 0.0, 0.0, 0.0])
-    desk.plan(Wishes({"leaf_weight": 5.0, "planner": "rrt_star", "iterations": 50}, moved))
-    after = until(desk, lambda moment: moment.shown is not None and moment.shown.number > number and moment.activity is Activity.IDLE)
+    backend.plan(Wishes({"leaf_weight": 5.0, "planner": "rrt_star", "iterations": 50}, moved))
+    after = until(backend, lambda moment: moment.shown is not None and moment.shown.number > number and moment.activity is Activity.IDLE)
     assert after.shown is not None and after.shown.target is not None
     assert (after.shown.settings.leaf_weight, after.shown.settings.planner) == (5.0, "rrt_star")
     np.testing.assert_allclose(after.shown.target, moved)
-    assert desk.moment().settings.planner == "lime_star"
-    desk.plan(Wishes({"time_budget_s": -1.0}))
-    assert "time_budget_s is -1.0; allowed" in desk.moment().message
+    assert backend.moment().settings.planner == "lime_star"
+    backend.plan(Wishes({"time_budget_s": -1.0}))
+    assert "time_budget_s is -1.0; allowed" in backend.moment().message
 
 
-def test_empty_desk_says_what_to_do() -> None:
-    desk = Desk(robot_named, settings(**QUICK))
+def test_empty_backend_says_what_to_do() -> None:
+    backend = SceneBackend(robot_named, settings(**QUICK))
     try:
-        assert "grow a lime plant" in desk.moment().advice
-        desk.plan(Wishes())
-        assert "there is no scene" in desk.moment().message
-        desk.open(scene_of(stems=[[0.6, 0.0, 0.3]], leaves=[[0.5, 0.0, 0.4]], frame=""), "two points")
-        moment = until(desk, lambda moment: moment.robot is not None)
+        assert "grow a lime plant" in backend.moment().advice
+        backend.plan(Wishes())
+        assert "there is no scene" in backend.moment().message
+        backend.open(scene_of(stems=[[0.6, 0.0, 0.3]], leaves=[[0.5, 0.0, 0.4]], frame=""), "two points")
+        moment = until(backend, lambda moment: moment.robot is not None)
         assert moment.advice == "" and moment.scene is not None and moment.scene.frame_id == "base"
         assert moment.target is not None, "a scene without a target gets one to drag"
     finally:
-        desk.close()
+        backend.close()
 
 
 def test_foreign_frame_is_named() -> None:
-    desk = Desk(robot_named, settings(**QUICK), scene=scene_of(stems=[[0.6, 0.0, 0.3]], leaves=[[0.5, 0.0, 0.4]], frame="camera"))
+    backend = SceneBackend(
+        robot_named, settings(**QUICK), scene=scene_of(stems=[[0.6, 0.0, 0.3]], leaves=[[0.5, 0.0, 0.4]], frame="camera")
+    )
     try:
-        moment = until(desk, lambda moment: "frame" in moment.blocked_plan)
+        moment = until(backend, lambda moment: "frame" in moment.blocked_plan)
         assert "'camera'" in moment.blocked_plan and "'base'" in moment.blocked_plan
     finally:
-        desk.close()
+        backend.close()
 
 
-def test_insight_agrees_with_the_plan(shown: PlanRecord, insight: Insight) -> None:
+def test_timeline_agrees_with_the_plan(shown: PlanRecord, timeline: Timeline) -> None:
     figures = shown.result
     assert figures.trajectory is not None
-    assert insight.timed and insight.duration_s == pytest.approx(figures.trajectory.duration_s)
-    np.testing.assert_allclose(insight.configurations[[0, -1]], figures.trajectory.positions[[0, -1]], atol=1e-9)
-    np.testing.assert_allclose(insight.tool[-1], pose_to_matrix(shown.target)[:3, 3], atol=2e-3)
-    assert insight.cost[-1] == pytest.approx(figures.cost, rel=0.25)
-    assert insight.clearance_m.min() == pytest.approx(figures.min_stem_clearance_m, abs=0.004)
-    assert (np.diff(insight.cost) >= 0.0).all()
+    assert timeline.timed and timeline.duration_s == pytest.approx(figures.trajectory.duration_s)
+    np.testing.assert_allclose(timeline.configurations[[0, -1]], figures.trajectory.positions[[0, -1]], atol=1e-9)
+    np.testing.assert_allclose(timeline.tool[-1], pose_to_matrix(shown.target)[:3, 3], atol=2e-3)
+    assert timeline.cost[-1] == pytest.approx(figures.cost, rel=0.25)
+    assert timeline.clearance_m.min() == pytest.approx(figures.min_stem_clearance_m, abs=0.004)
+    assert (np.diff(timeline.cost) >= 0.0).all()
     np.testing.assert_allclose(
-        insight.configuration(0.5 * insight.duration_s), figures.trajectory.sample(0.5 * insight.duration_s), atol=0.01
+        timeline.configuration(0.5 * timeline.duration_s), figures.trajectory.sample(0.5 * timeline.duration_s), atol=0.01
     )
 
 
-def test_touched_leaves_are_those_that_the_planner_pays_for(shown: PlanRecord, insight: Insight) -> None:
-    agree = insight.touched.any(axis=1) == (insight.leaf > 0.0)
+def test_touched_leaves_are_those_that_the_planner_pays_for(shown: PlanRecord, timeline: Timeline) -> None:
+    agree = timeline.touched.any(axis=1) == (timeline.leaf > 0.0)
     assert agree.mean() > 0.97  # the planner thins leaves to 4 mm
-    assert insight.touched.any() and insight.leaf_points.max() < len(shown.scene.leaf_points)
+    assert timeline.touched.any() and timeline.leaf_points.max() < len(shown.scene.leaf_points)
 
 
 @pytest.mark.parametrize("planner", ["lime_star", "apf_rrt_star"])
 def test_search_tree_begins_at_the_arm(shown: PlanRecord, planner: str) -> None:
     chosen = settings(iterations=9000 if planner == "lime_star" else 3000, planner=planner)  # paths come before the roadmap
-    grown = grow_again(pipeline_of(), PlanRecord(1, shown.scene, chosen, shown.target, shown.result))
-    assert 50 < len(grown.segments) <= grown.total and grown.segments.shape[2:] == (2, 3)
-    assert len(grown.leafy) == len(grown.segments)
+    tree = search_tree_of(pipeline_of(), PlanRecord(1, shown.scene, chosen, shown.target, shown.result))
+    assert 50 < len(tree.segments) <= tree.total and tree.segments.shape[2:] == (2, 3)
+    assert len(tree.leafy) == len(tree.segments)
     start = robot_named().forward(shown.result.waypoints[0])[:3, 3]
-    assert np.linalg.norm(grown.segments.reshape(-1, 3) - start, axis=1).min() < 1e-5
+    assert np.linalg.norm(tree.segments.reshape(-1, 3) - start, axis=1).min() < 1e-5
 
 
 def test_saved_plan_comes_back(tmp_path: Path, shown: PlanRecord, capsys: pytest.CaptureFixture[str]) -> None:
@@ -168,13 +170,15 @@ def test_saved_plan_comes_back(tmp_path: Path, shown: PlanRecord, capsys: pytest
     assert result.status is Status.SUCCEEDED and result.trajectory is not None
     assert json.loads(plan.read_text())["trajectory"]["positions"] == result.trajectory.positions.tolist()
     assert saved.load_scene().n_points == shown.scene.n_points
-    desk = Desk(robot_named, settings(), scene=saved.load_scene(), target=saved.target, q_start=saved.q_start, saved=saved.result)
+    backend = SceneBackend(
+        robot_named, settings(), scene=saved.load_scene(), target=saved.target, q_start=saved.q_start, saved=saved.result
+    )
     try:
-        moment = until(desk, lambda moment: moment.shown is not None)
+        moment = until(backend, lambda moment: moment.shown is not None)
         assert moment.shown is not None and not moment.blocked_motion
         np.testing.assert_allclose(moment.shown.result.waypoints, result.waypoints)
     finally:
-        desk.close()
+        backend.close()
     assert cli.main(["animate", str(plan), "--out", str(gif), "--fps", "2", "--width", "160"]) == 0
     from PIL import Image
 
@@ -198,15 +202,15 @@ def test_a_plan_saved_in_python_comes_back(tmp_path: Path, shown: PlanRecord, ca
     assert drawn(bare) == 1
     assert "bare.json: does not name its scene; give it with --scene SCENE" in capsys.readouterr().err
     assert drawn(bare, "--scene", str(scene)) == 0 and gif.stat().st_size > 1000
-    desk = _desk(cli.build_parser(["view"]).parse_args(["view", str(bare), "--scene", str(scene)]))
+    backend = _backend(cli.build_parser(["view"]).parse_args(["view", str(bare), "--scene", str(scene)]))
     try:
-        moment = until(desk, lambda moment: moment.shown is not None)
+        moment = until(backend, lambda moment: moment.shown is not None)
         assert moment.shown is not None and moment.scene is not None and moment.scene.n_points == shown.scene.n_points
         np.testing.assert_allclose(moment.shown.result.waypoints, shown.result.waypoints)
         np.testing.assert_allclose(moment.target, shown.target)
         assert (moment.settings.iterations, moment.settings.seed) == (400, 3)
     finally:
-        desk.close()
+        backend.close()
     scene.unlink()
     assert drawn(named) == 1
     assert "its scene plant.npz is not there; say where it is with --scene" in capsys.readouterr().err

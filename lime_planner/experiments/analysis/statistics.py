@@ -65,7 +65,7 @@ class Comparison:
 
 @contextlib.contextmanager
 def _quiet() -> Iterator[None]:
-    # pingouin 0.7 uses what pandas 4 will drop, and its Bayes factors, which nobody asked for, overflow on clear differences.
+    # pingouin 0.7 uses what pandas 4 will drop, and its Bayes factors, which are not used here, overflow on clear differences.
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DeprecationWarning)
         warnings.simplefilter("ignore", FutureWarning)

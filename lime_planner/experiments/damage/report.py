@@ -11,8 +11,8 @@ import numpy as np
 
 from lime_planner.core.types import Array
 from lime_planner.experiments.analysis.bootstrap import Estimate, by_cluster, median
+from lime_planner.experiments.analysis.tables import markdown_table
 from lime_planner.experiments.damage.trials import LABELS
-from lime_planner.experiments.wall.report import markdown_table
 
 Trials = list[dict[str, Any]]
 

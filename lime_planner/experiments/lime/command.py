@@ -32,15 +32,16 @@ def run_lime(
     Raises:
         ParameterError: the folder cannot be made or written to, or holds an earlier run that may not or cannot be continued.
     """
+    from lime_planner.core.atomic_files import write_text
     from lime_planner.experiments.lime.report import table_text
     from lime_planner.experiments.lime.trials import plan_of
-    from lime_planner.experiments.runs.parallel import default_jobs, write_atomically
+    from lime_planner.experiments.runs.parallel import default_jobs
     from lime_planner.experiments.runs.results_file import collect
 
     make_folder(out)
     plan = plan_of(options)
     results, complete = collect(plan, out / "results.json", jobs=jobs or default_jobs(), scheduler=scheduler, resume=resume)
-    write_atomically(out / "table.md", table_text(results))
+    write_text(out / "table.md", table_text(results))
     if figures and complete:
         from lime_planner.experiments.lime.figure import simulation_figure
 

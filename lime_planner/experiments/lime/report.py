@@ -10,8 +10,8 @@ import numpy as np
 from lime_planner.core.types import Array
 from lime_planner.experiments.analysis.bootstrap import Estimate, by_cluster, independent
 from lime_planner.experiments.analysis.statistics import MeanTest, against_zero, mean_interval, welch
+from lime_planner.experiments.analysis.tables import markdown_table, p_text
 from lime_planner.experiments.lime.trials import ALGORITHMS, FIXED, LABELS, PAPER, VARIANTS
-from lime_planner.experiments.wall.report import markdown_table, p_text
 
 Cells = dict[tuple[int, str, str], list[dict[str, Any]]]
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import json
 import os
 import signal
 import threading
@@ -13,9 +12,8 @@ from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wai
 from concurrent.futures.process import BrokenProcessPool
 from functools import partial
 from multiprocessing import get_context
-from pathlib import Path
 from types import FrameType
-from typing import Any, Generic, TypeVar
+from typing import Generic, TypeVar
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
@@ -48,7 +46,7 @@ def _ignore_interrupt() -> None:
 def _first_interrupt() -> Iterator[threading.Event]:
     """Turn the first ctrl-C into an event; the second one interrupts as ever.
 
-    An exception out of nowhere can leave the pool's locks held, and everybody waits for good.
+    An exception out of nowhere can leave the pool's locks held, and the program waits for good.
     """
     pressed = threading.Event()
     if threading.current_thread() is not threading.main_thread() or signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
@@ -126,7 +124,7 @@ def run_trials(
 class _Hand(Generic[Task, Result]):
     """Hands tasks out to processes of this machine, a few ahead for each, and takes back whatever becomes of them.
 
-    A process that dies takes the whole pool with it, and nobody learns which task was its last. All that were handed out are tried
+    A process that dies takes the whole pool with it, and which task was its last stays unknown. All that were handed out are tried
     again in a new pool. A task that was there twice is tried last and alone, so that no other one is blamed for a third death.
     """
 
@@ -225,15 +223,3 @@ class _Hand(Generic[Task, Result]):
     def _rebuild(self) -> None:
         self.pool.shutdown()
         self.pool = self._new_pool()
-
-
-def write_atomically(path: Path, text: str) -> None:
-    """Replace a file's contents such that a reader, or a crash, never meets half of them."""
-    temporary = path.with_name(f".{path.name}.{os.getpid()}")
-    temporary.write_text(text)
-    temporary.replace(path)
-
-
-def write_json(path: Path, data: Any) -> None:
-    """Write JSON (no NaN, no inf) atomically."""
-    write_atomically(path, json.dumps(data, allow_nan=False, separators=(",", ":")) + "\n")

@@ -11,8 +11,9 @@ from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 from lime_planner import __version__
+from lime_planner.core.atomic_files import write_json
 from lime_planner.core.errors import ParameterError, SceneError
-from lime_planner.experiments.runs.parallel import run_trials, write_json
+from lime_planner.experiments.runs.parallel import run_trials
 
 Task = TypeVar("Task")
 
@@ -94,7 +95,7 @@ class _Book(Generic[Task]):
                 raise ParameterError(f"{path} exists: continue it with --resume, or use another folder")
             machines = self._take_over()
         else:
-            _journal(path).unlink(missing_ok=True)  # of a results file that somebody removed
+            _journal(path).unlink(missing_ok=True)  # of a results file that was removed
         done = {plan.key_of_record(t) for t in self.trials}
         self.tasks = [task for task in plan.tasks if plan.key_of_task(task) not in done]
         if "machine" in plan.extra and (self.tasks or not machines):
@@ -144,7 +145,7 @@ class _Book(Generic[Task]):
 
     def save(self) -> None:
         """Write the whole file."""
-        write_json(self.path, self.results)
+        write_json(self.path, self.results, compact=True)
         _journal(self.path).unlink(missing_ok=True)  # should the process die in between, trials are there twice, and count once
 
     def close(self, complete: bool) -> None:

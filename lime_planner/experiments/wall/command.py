@@ -54,7 +54,8 @@ def run_wall(
         ParameterError: the folder cannot be made or written to, or holds an earlier run that may not or cannot be continued.
         ModuleNotFoundError: pingouin is not installed (extra `experiments`).
     """
-    from lime_planner.experiments.runs.parallel import default_jobs, write_atomically
+    from lime_planner.core.atomic_files import write_text
+    from lime_planner.experiments.runs.parallel import default_jobs
     from lime_planner.experiments.wall.report import statistics_text, table_text
     from lime_planner.experiments.wall.trials import collect
 
@@ -62,8 +63,8 @@ def run_wall(
         raise ModuleNotFoundError("the experiment's statistics need pingouin", name="pingouin")
     make_folder(out)
     results, complete = collect(options, out / "results.json", jobs=jobs or default_jobs(), resume=resume, scheduler=scheduler)
-    write_atomically(out / "table.md", table_text(results))
-    write_atomically(out / "statistics.md", statistics_text(results))
+    write_text(out / "table.md", table_text(results))
+    write_text(out / "statistics.md", statistics_text(results))
     if figures and complete:
         from lime_planner.experiments.wall.figures import all_figures
 

@@ -1,11 +1,15 @@
-"""Paths elsewhere: searches of the roadmap that keep away from the place where the best path pays most for its leaves.
+"""Paths unlike the best one: around the place where it pays most for its leaves, and from new trees.
 
-A path through another gap may cost more as the roadmap has it and less once it is polished. The ordinary search, which asks for
-paths cheaper than the best, never shows it to the polisher.
+Polishing ends in the nearest valley of the cost. `Detours` searches the roadmap for paths that keep away from where the best path pays
+most for its leaves: a path through another gap may cost more as the roadmap has it and less once it is polished, and the ordinary
+search, which asks for paths cheaper than the best, never shows it to the polisher. `Restarts` connects the ways out of start and goal
+with two new trees, drawn where paths cheaper than the best may pass: trees that know nothing of the best path end in whatever valley
+they meet, to the goal that promises most.
 """
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,12 +19,15 @@ from lime_planner.core.types import Array
 if TYPE_CHECKING:
     from lime_planner.planning.lime_star.run import Run
 
-
 _RADIUS = 12.0  # of the closed balls, in least steps
-_DEAREST = 2.5  # cost, over the best, above which a detour is not worth polishing
+_MOST_EXPENSIVE = 2.5  # cost, over the best, above which a detour is not worth polishing
 _EDGES = 200  # evaluated for one detour at most
 _CLOSED = 6  # balls at once, before it begins with the best path's again
 _SHARE = 0.01  # of the best cost; less leaf than this is not worth a detour
+
+_WORTH = 0.01  # share of the best cost that must be left to be gained
+_TIRED = 0.01  # what each try adds to what a goal seems to cost
+_TRIALS = 80  # of polishing, before such a path is compared with the others
 
 
 class Detours:
@@ -42,7 +49,7 @@ class Detours:
             return
         if not len(self.closed) or float(np.linalg.norm(self.closed[0, :-1] - best[:-1])) > 0.5 * best[-1]:
             self.closed = best[None]
-        count = run.search(_DEAREST * run.best_cost, self.closed, _EDGES)
+        count = run.search(_MOST_EXPENSIVE * run.best_cost, self.closed, _EDGES)
         t = run.adopt(count, instead=True) if count and not run.over() else -1
         if t < 0:
             self.closed = best[None]
@@ -69,3 +76,29 @@ def crossing(run: Run, points: Array, segments: Array) -> Array | None:
     if np.linalg.norm(ends - middle, axis=1).min() < 1.5 * radius:
         return None
     return np.concatenate([middle, [radius]])
+
+
+class Restarts:
+    """How often one run planned new paths to which goal.
+
+    Attributes:
+        tried: (G,) numbers of tries.
+    """
+
+    def __init__(self, goals: int) -> None:
+        self.tried = np.zeros(goals)
+
+    def look(self, run: Run) -> bool:
+        """Try once; False, and nothing was done, where no goal can be reached for much less than the best path costs."""
+        costs = run.least_costs()
+        promising = costs < (1.0 - _WORTH) * run.best_cost
+        if not promising.any():
+            return False
+        g = int(np.argmin(np.where(promising, costs * (1.0 + _TIRED * self.tried), math.inf)))
+        self.tried[g] += 1
+        (root, first), (end, last) = run.out(len(run.goals)), run.out(g)
+        samples = run.left(run.options.connect_samples)
+        count = run.connect(run.space, root, end, samples, solid=True, bound=run.best_cost - first - last)
+        if count and not run.over():
+            run.adopt(run.append_goal(run.prepend_start(count), g), trials=_TRIALS)
+        return True

@@ -8,14 +8,14 @@ import numpy as np
 
 from lime_planner.core.jit import kernel
 from lime_planner.core.types import Array, Int32, Int64
-from lime_planner.planning.ellipsoid import draw_between, draw_in_box
+from lime_planner.planning.sampling import draw_between, draw_in_box
 from lime_planner.planning.space import clamp, distance, edge, evaluate
 
 CAPACITY = 4000
 _ROUNDING = 1e-9  # share of a length that counts as nothing
 
 
-class Bush(NamedTuple):
+class ConnectTree(NamedTuple):
     """One of the two trees: rows (capacity, n), parent (capacity,), size (1,)."""
 
     rows: Array
@@ -23,27 +23,27 @@ class Bush(NamedTuple):
     size: Int64
 
 
-def new_bush(n: int) -> Bush:
+def new_tree(n: int) -> ConnectTree:
     """An empty tree in n dimensions."""
-    return Bush(np.zeros((CAPACITY, n)), np.zeros(CAPACITY, np.int32), np.zeros(1, np.int64))
+    return ConnectTree(np.zeros((CAPACITY, n)), np.zeros(CAPACITY, np.int32), np.zeros(1, np.int64))
 
 
 @kernel
-def plant(bush: Any, root: Any) -> None:
-    """Start a tree anew from its root."""
-    bush.rows[0] = root
-    bush.parent[0] = -1
-    bush.size[0] = 1
+def reset(tree: Any, root: Any) -> None:
+    """Let a tree begin again with nothing but its root."""
+    tree.rows[0] = root
+    tree.parent[0] = -1
+    tree.size[0] = 1
 
 
 @kernel
-def _nearest(space: Any, bush: Any, q: Any) -> Any:
+def _nearest(space: Any, tree: Any, q: Any) -> Any:
     best = np.inf
     at = 0
-    for i in range(bush.size[0]):
+    for i in range(tree.size[0]):
         total = 0.0
         for k in range(q.shape[0]):
-            gap = bush.rows[i, k] - q[k]
+            gap = tree.rows[i, k] - q[k]
             total += gap * gap
             if total >= best:
                 break
@@ -54,28 +54,28 @@ def _nearest(space: Any, bush: Any, q: Any) -> Any:
 
 
 @kernel
-def _extend(space: Any, bush: Any, q: Any, step: float, solid: bool, trial: Any) -> Any:
+def _extend(space: Any, tree: Any, q: Any, step: float, solid: bool, trial: Any) -> Any:
     """Grow from the nearest node towards q by at most `step`; the new node, or -1. `trial` is left at where it ends."""
-    near = _nearest(space, bush, q)
-    gap = distance(space, bush.rows[near], q)
+    near = _nearest(space, tree, q)
+    gap = distance(space, tree.rows[near], q)
     for k in range(q.shape[0]):
         # The end exactly, not but for rounding: the trees meet where the distance is zero.
-        trial[k] = q[k] if gap <= step else bush.rows[near, k] + step / gap * (q[k] - bush.rows[near, k])
-    if gap == 0.0 or bush.size[0] >= bush.rows.shape[0]:
+        trial[k] = q[k] if gap <= step else tree.rows[near, k] + step / gap * (q[k] - tree.rows[near, k])
+    if gap == 0.0 or tree.size[0] >= tree.rows.shape[0]:
         return -1
     leaf = evaluate(space, trial)
     if leaf < 0.0 or (solid and leaf > 0.0):
         return -1
     if solid:
-        bound = distance(space, bush.rows[near], trial) * (1.0 + _ROUNDING)
-        if edge(space, bush.rows[near], trial, 1.0 / _ROUNDING, bound) > bound:
+        bound = distance(space, tree.rows[near], trial) * (1.0 + _ROUNDING)
+        if edge(space, tree.rows[near], trial, 1.0 / _ROUNDING, bound) > bound:
             return -1
-    elif edge(space, bush.rows[near], trial, 0.0, np.inf) == np.inf:
+    elif edge(space, tree.rows[near], trial, 0.0, np.inf) == np.inf:
         return -1
-    at = bush.size[0]
-    bush.rows[at] = trial
-    bush.parent[at] = near
-    bush.size[0] = at + 1
+    at = tree.size[0]
+    tree.rows[at] = trial
+    tree.parent[at] = near
+    tree.size[0] = at + 1
     return at
 
 
@@ -101,20 +101,20 @@ def connect(
     """
     for drawn in range(samples):
         forward = drawn % 2 == 0
-        grown = from_start if forward else from_goal
+        growing = from_start if forward else from_goal
         other = from_goal if forward else from_start
         if draw_between(space, from_start.rows[0], from_goal.rows[0], bound, random, trial[0]) > 0.0:
             clamp(space, trial[0])
         else:
             draw_in_box(space, random, trial[0])
-        new = _extend(space, grown, trial[0], step, solid, trial[1])
+        new = _extend(space, growing, trial[0], step, solid, trial[1])
         if new < 0:
             continue
         while True:
-            reached = _extend(space, other, grown.rows[new], step, solid, trial[1])
+            reached = _extend(space, other, growing.rows[new], step, solid, trial[1])
             if reached < 0:
                 break
-            if distance(space, other.rows[reached], grown.rows[new]) == 0.0:
+            if distance(space, other.rows[reached], growing.rows[new]) == 0.0:
                 a = new if forward else reached
                 b = reached if forward else new
                 return _join(from_start, from_goal, a, b, path), drawn + 1

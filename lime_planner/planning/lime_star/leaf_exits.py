@@ -21,7 +21,7 @@ _CHANGED = 0.4  # share of the trials that change the best way out instead of dr
 _UP, _DOWN = 1.6, 0.87  # step control of those: the one-fifth success rule
 
 
-class Escapes(NamedTuple):
+class LeafExits(NamedTuple):
     """The best way out found for each of G configurations.
 
     Attributes:
@@ -36,36 +36,36 @@ class Escapes(NamedTuple):
     trial: Array
 
 
-def new_escapes(count: int, n: int, step: float) -> Escapes:
+def new_exits(count: int, n: int, step: float) -> LeafExits:
     """Nothing known about `count` configurations in n dimensions; changes begin with standard deviation `step`."""
-    return Escapes(np.zeros((count, n)), np.full(count, np.inf), np.full(count, step), np.zeros(n))
+    return LeafExits(np.zeros((count, n)), np.full(count, np.inf), np.full(count, step), np.zeros(n))
 
 
 @kernel
-def improve(space: Any, escapes: Any, g: int, origin: Any, trials: int, weight: float, least: float, most: float, random: Any) -> bool:
+def improve(space: Any, exits: Any, g: int, origin: Any, trials: int, weight: float, least: float, most: float, random: Any) -> bool:
     """Look for a cheaper way out.
 
     Args:
         space: the space.
-        escapes: written at `g`.
+        exits: written at `g`.
         g: which one.
         origin: (n,) its configuration.
         trials: ends to try.
         weight: leaf weight of J.
-        least, most: shortest and longest way out that is drawn anew [unit of the space].
+        least, most: shortest and longest way out that is drawn without regard to the best [unit of the space].
         random: generator state.
 
     Returns:
         Whether one was found.
     """
     n = origin.shape[0]
-    q = escapes.trial
+    q = exits.trial
     better = False
     for _ in range(trials):
-        changed = escapes.cost[g] < np.inf and uniform(random) < _CHANGED
+        changed = exits.cost[g] < np.inf and uniform(random) < _CHANGED
         if changed:
             for k in range(n):
-                q[k] = escapes.ends[g, k] + escapes.step[g] * normal(random)
+                q[k] = exits.ends[g, k] + exits.step[g] * normal(random)
         else:
             total = 0.0
             for k in range(n):
@@ -77,13 +77,13 @@ def improve(space: Any, escapes: Any, g: int, origin: Any, trials: int, weight: 
         clamp(space, q)
         good = evaluate(space, q) == 0.0
         if good:
-            cost = edge(space, origin, q, weight, escapes.cost[g])
-            good = cost < escapes.cost[g]
+            cost = edge(space, origin, q, weight, exits.cost[g])
+            good = cost < exits.cost[g]
             if good:
-                escapes.cost[g] = cost
+                exits.cost[g] = cost
                 for k in range(n):
-                    escapes.ends[g, k] = q[k]
+                    exits.ends[g, k] = q[k]
         if changed:
-            escapes.step[g] = max(0.1 * least, min(most, escapes.step[g] * (_UP if good else _DOWN)))
+            exits.step[g] = max(0.1 * least, min(most, exits.step[g] * (_UP if good else _DOWN)))
         better = better or good
     return better

@@ -3,15 +3,15 @@
 Five parts work in turn, each in compiled slices of a few milliseconds:
 
 1. a straight line and two trees (`connect`) give a first path quickly;
-2. ways out of the leaves (`escape`) show which goals are cheap and from where; paths over them come next;
+2. ways out of the leaves (`leaf_exits`) show which goals are cheap and from where; paths over them come next;
 3. local improvement (`polish`) drives a few paths down side by side (`tracks`), the cheapest most, because only polishing shows which
    goal and which side of a branch is cheap; few of them may be nearly the same;
 4. a roadmap that grows by batches (`roadmap`), sampled in the whole box, around the goals and around the best paths, is searched
    lazily; what it finds becomes a new path to polish. Uniform samples and k ~ log N neighbours make the whole asymptotically
-   optimal (as PRM*, Karaman and Frazzoli 2011). Now and then it is searched for a path through another gap (`detour`);
-5. paths anew (`restart`), to the goals that promise most, in the time that polishing can do without.
+   optimal (as PRM*, Karaman and Frazzoli 2011). Now and then it is searched for a path through another gap (`alternatives`);
+5. new trees to the goals that promise most (`alternatives`), in the time that polishing can do without.
 
-A short best path leaves only an ellipsoid of the box where better ones may pass; it is sampled instead (`ellipsoid`).
+A short best path leaves only an ellipsoid of the box where better ones may pass; it is sampled instead (`sampling`).
 A sample or a path that cannot lead below the best cost is pruned: the straight distance bounds every cost from below.
 """
 
@@ -28,14 +28,13 @@ import numpy.typing as npt
 from lime_planner.core.errors import ProblemError
 from lime_planner.core.jit import kernel
 from lime_planner.core.status import Status
-from lime_planner.planning.ellipsoid import draw_between, draw_in_box
 from lime_planner.planning.lime_star import roadmap as graph
+from lime_planner.planning.lime_star.alternatives import Detours, Restarts
 from lime_planner.planning.lime_star.options import LimeOptions, LimeOutcome
 from lime_planner.planning.lime_star.run import Run
 from lime_planner.planning.lime_star.tracks import MAX_WAYPOINTS
-from lime_planner.planning.sampling import below, normal, uniform
-from lime_planner.planning.single import line, one
-from lime_planner.planning.space import clamp, distance, evaluate, inside
+from lime_planner.planning.sampling import below, draw_between, draw_in_box, normal, uniform
+from lime_planner.planning.space import clamp, distance, evaluate, inside, line, one
 
 __all__ = ["LimeOptions", "LimeOutcome", "plan_lime", "warm_up"]
 
@@ -210,8 +209,9 @@ def _search(run: Run) -> None:
         if run.over():
             return
     _first_paths(run)
+    detours, restarts = Detours(len(run.start)), Restarts(len(run.goals))
     while not run.over():
-        _round(run)
+        _round(run, detours, restarts)
 
 
 def _first_paths(run: Run) -> None:
@@ -228,7 +228,7 @@ def _first_paths(run: Run) -> None:
             run.reach(run.goals[g], run.left(run.options.connect_samples))
 
 
-def _round(run: Run) -> None:
+def _round(run: Run, detours: Detours, restarts: Restarts) -> None:
     """One batch of roadmap samples with its search, at times one for a detour, then more ways out, then polishing of the tracks."""
     o = run.options
     if run.road.size[0] + o.batch + MAX_WAYPOINTS > len(run.road.rows) or 2 * run.road.size[1] > len(run.road.length):
@@ -253,7 +253,7 @@ def _round(run: Run) -> None:
         run.adopt(count)
     run.rounds += 1
     if run.rounds % _DETOURS == 0 and not run.over():
-        run.detours.look(run, 2 * o.batch)
+        detours.look(run, 2 * o.batch)
     if run.over():
         return
     run.improve_ways_out(4, o.batch // 2)
@@ -269,6 +269,6 @@ def _round(run: Run) -> None:
         run.polish(int(t), given)
     before = run.iterations
     while len(alive) and run.spare > run.iterations - before and not run.over():
-        if not run.restarts.look(run):
+        if not restarts.look(run):
             run.polish(int(alive[0]), int(run.spare) + 1)
     run.spare -= run.iterations - before  # below zero after a long try: the next rounds make up for it

@@ -14,8 +14,27 @@ import numpy as np
 
 from lime_planner.core.jit import kernel
 from lime_planner.core.types import Array, Int32, Int64, UInt8
-from lime_planner.planning.lime_star.balls import passes
 from lime_planner.planning.space import distance, edge, evaluate
+
+
+@kernel
+def passes(a: Any, b: Any, balls: Any) -> bool:
+    """Whether a straight line meets one of the balls (B, n + 1): centre and radius."""
+    n = a.shape[0]
+    for i in range(balls.shape[0]):
+        along = 0.0
+        length = 0.0
+        for k in range(n):
+            along += (balls[i, k] - a[k]) * (b[k] - a[k])
+            length += (b[k] - a[k]) ** 2
+        share = min(max(along / length, 0.0), 1.0) if length > 0.0 else 0.0
+        gap = 0.0
+        for k in range(n):
+            gap += (a[k] + share * (b[k] - a[k]) - balls[i, k]) ** 2
+        if gap < balls[i, n] ** 2:
+            return True
+    return False
+
 
 UNKNOWN, EXACT, AT_LEAST, BLOCKED = 0, 1, 2, 3  # what is known of an edge's cost
 START = 0  # vertex number; the goals follow

@@ -11,15 +11,13 @@ import numpy as np
 
 from lime_planner.core.types import Array
 from lime_planner.planning.lime_star import connect as trees
-from lime_planner.planning.lime_star import leaf_exits as escape
+from lime_planner.planning.lime_star import leaf_exits
 from lime_planner.planning.lime_star import polish as local
 from lime_planner.planning.lime_star import roadmap as graph
-from lime_planner.planning.lime_star.alternatives import Detours
 from lime_planner.planning.lime_star.options import LimeOptions
-from lime_planner.planning.lime_star.restart import Restarts
 from lime_planner.planning.lime_star.tracks import MAX_WAYPOINTS, copy_track, empty_track, load_track, near_tracks, new_tracks
 from lime_planner.planning.sampling import random_state
-from lime_planner.planning.single import line
+from lime_planner.planning.space import line
 
 _SLICE_S = 0.004
 _PROMISING = 0.95  # share of the best cost below which a way out that was not reached is tried again
@@ -44,7 +42,7 @@ class Run:
 
     Attributes:
         goals: (G, n) valid goals; goal_leaf: (G,) leaf intensity there.
-        escapes: way out of each goal, the start's in the last place.
+        exits: way out of each goal, the start's in the last place.
         tracks: paths being polished; the last place is for loading.
         idle: (T,) whether a track's last polishing brought next to nothing; halved: (T,) times that its tolerance was halved.
         joins: (G,) times that a goal's way out was tried to be reached.
@@ -88,8 +86,8 @@ class Run:
         self.tracks = new_tracks(options.tracks + 1, n)
         self.joins = np.zeros(len(goals))
         self.idle, self.halved = np.zeros(options.tracks + 1, dtype=bool), np.zeros(options.tracks + 1)
-        self.escapes = escape.new_escapes(len(goals) + 1, n, self.least)
-        self.from_start, self.from_goal = trees.new_bush(n), trees.new_bush(n)
+        self.exits = leaf_exits.new_exits(len(goals) + 1, n, self.least)
+        self.from_start, self.from_goal = trees.new_tree(n), trees.new_tree(n)
         self.path, self.trial, self.q = np.zeros((MAX_WAYPOINTS, n)), np.zeros((2, n)), np.zeros(n)
         self.iterations = self.tries = 0
         self._budget, self._over = iterations, over
@@ -97,7 +95,6 @@ class Run:
         self.best_path: Array | None = None
         self.best_segments: Array = np.zeros(0)
         self.everywhere: Array = np.zeros((0, n + 1))  # no ball is closed
-        self.detours, self.restarts = Detours(n), Restarts(len(goals))
         self.rounds, self.spare = 0, 0.0
         self._rooted: tuple[bytes, bool] | None = None
         self.history: list[tuple[float, int, float]] = []
@@ -127,8 +124,8 @@ class Run:
     def adopt(self, count: int, *, trials: int = 0, instead: bool = False) -> int:
         """Make the path in `self.path` a track, after some polishing trials; the track, or -1 where it is not worth it.
 
-        It replaces the worst if that is dearer, or anyway (`instead`); but where some tracks are nearly the same as it already, the dearest
-        of these: tracks that all are one path would be of no more use than one.
+        It replaces the worst if that costs more, or anyway (`instead`); but where some tracks are nearly the same as it already, the most
+        expensive of these: tracks that all are one path would be of no more use than one.
         """
         tracks, spare = self.tracks, self.options.tracks
         worst = int(np.argmax(tracks.cost[:-1]))
@@ -139,8 +136,8 @@ class Run:
         self.keep(spare)
         if trials and not self.over():
             self.polish(spare, trials)
-        copies, dearest = near_tracks(self.space, tracks, spare, self.same)
-        place = worst if copies < _COPIES else dearest
+        copies, most_expensive = near_tracks(self.space, tracks, spare, self.same)
+        place = worst if copies < _COPIES else most_expensive
         if tracks.cost[spare] < tracks.cost[place] or (instead and not copies):
             copy_track(tracks, spare, place)
             self.idle[place], self.halved[place] = False, 0.0
@@ -204,9 +201,9 @@ class Run:
         """
         rooted = (root.tobytes(), solid)
         if math.isfinite(bound) or rooted != self._rooted or self.from_start.size[0] > trees.CAPACITY // 2:
-            trees.plant(self.from_start, root)
+            trees.reset(self.from_start, root)
             self._rooted = rooted
-        trees.plant(self.from_goal, goal)
+        trees.reset(self.from_goal, goal)
         while samples > 0 and not self.over():
             share = self.left(min(samples, _SAMPLES_IN_ONE_GO))  # short slices: a stop is heard in between
             stride = self.stride / 3.0 if solid else self.stride
@@ -222,13 +219,13 @@ class Run:
     # --- ways out of the leaves -----------------------------------------------------------------------------------------------
 
     def origin(self, g: int) -> Array:
-        """The configuration whose way out is in place g of the escapes."""
+        """The configuration whose way out is in place g of the exits."""
         return self.start if g == len(self.goals) else np.asarray(self.goals[g])
 
     def out(self, g: int) -> tuple[Array, float]:
         """The end of a way out, and its cost; the configuration itself where it touches no leaf."""
         leaf = self.start_leaf if g == len(self.goals) else self.goal_leaf[g]
-        return (self.escapes.ends[g], float(self.escapes.cost[g])) if leaf > 0.0 else (self.origin(g), 0.0)
+        return (self.exits.ends[g], float(self.exits.cost[g])) if leaf > 0.0 else (self.origin(g), 0.0)
 
     def look_for_ways_out(self) -> None:
         """Find ways out of start and goals, with most trials for the goals that turn out cheap (successive halving)."""
@@ -241,7 +238,7 @@ class Run:
                 if self.over():
                     return
                 self._improve(int(g), trials)
-            alive = alive[np.argsort(self.escapes.cost[alive], kind="stable")][: max(1, len(alive) // 2)]
+            alive = alive[np.argsort(self.exits.cost[alive], kind="stable")][: max(1, len(alive) // 2)]
             trials *= 2
             # The best so far at once: a search that ends now should have something of it.
             if len(alive) and self.least_cost(int(alive[0])) < self.best_cost and not self.over():
@@ -252,8 +249,8 @@ class Run:
         o, better = self.options, False
         while trials > 0 and not self.over():
             share = self.left(min(trials, _TRIALS_IN_ONE_GO))
-            better |= escape.improve(
-                self.space, self.escapes, g, self.origin(g), share, o.weight, 2.0 * self.least, self.most / 2.0, self.random
+            better |= leaf_exits.improve(
+                self.space, self.exits, g, self.origin(g), share, o.weight, 2.0 * self.least, self.most / 2.0, self.random
             )
             self.iterations += share
             trials -= share

@@ -143,11 +143,11 @@ def _place(space: Any, tracks: Any, t: int, share: float, out: Any) -> None:
 
 @kernel
 def near_tracks(space: Any, tracks: Any, t: int, radius: float) -> tuple[int, int]:
-    """Count the tracks whose paths are nowhere farther from track t's than a radius, and name the dearest of them, -1 for none.
+    """Count the tracks whose paths are nowhere farther from track t's than a radius, and name the most expensive of them, -1 for none.
 
     Distances are taken between places at equal shares of the two lengths.
     """
-    count, dearest = 0, -1
+    count, most_expensive = 0, -1
     for other in range(tracks.size.shape[0]):
         if other == t or tracks.size[other] < 2:
             continue
@@ -160,6 +160,6 @@ def near_tracks(space: Any, tracks: Any, t: int, radius: float) -> tuple[int, in
                 break
         if widest < radius:
             count += 1
-            if dearest < 0 or tracks.cost[other] > tracks.cost[dearest]:
-                dearest = other
-    return count, dearest
+            if most_expensive < 0 or tracks.cost[other] > tracks.cost[most_expensive]:
+                most_expensive = other
+    return count, most_expensive

@@ -14,8 +14,7 @@ from lime_planner.core.parameters import PARAMETERS, parse_assignment, settings_
 from lime_planner.ros.demo.demo import DEFAULT_SEED, Clock, completed_scene, scene_of
 from lime_planner.ros.demo.processes import Corner, DemoError, Processes
 from lime_planner.viewer.access import Access
-from lime_planner.viewer.announce import DEFAULT_PORT, announce, until_signal
-from lime_planner.viewer.serving import free_port
+from lime_planner.viewer.serving import DEFAULT_PORT, announce, free_port, until_signal
 
 _FOLDER = Path("out")  # as the demo's
 _START_TIMEOUT_S = 60.0

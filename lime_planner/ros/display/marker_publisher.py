@@ -109,15 +109,15 @@ class MarkerPublisher(BackgroundThread):
 
     def _tree(self, planned: PlannedRequest, loaded: Loaded) -> Float32:
         """Return tool positions of the pieces of the search tree's edges, (S, 2, 3): the search runs once more, with its own seed."""
-        from lime_planner.output.search_tree import grow_again
+        from lime_planner.output.search_tree import search_tree_of
 
-        return grow_again(loaded.pipeline, planned.record, should_stop=lambda: self._stale(planned)).segments.reshape(-1, 2, 3)
+        return search_tree_of(loaded.pipeline, planned.record, should_stop=lambda: self._stale(planned)).segments.reshape(-1, 2, 3)
 
 
 def _extras(planned: PlannedRequest, loaded: Loaded) -> Extras:
     """Draw the arm at the path's end, and find the leaf points that it touches on its way."""
     from lime_planner.collision.touched_points import touched_points
-    from lime_planner.pipeline.finish import sample_path
+    from lime_planner.pipeline.figures import sample_path
     from lime_planner.robot.convex_hulls import arm_hull
 
     waypoints, points = planned.record.result.waypoints, planned.record.scene.leaf_points

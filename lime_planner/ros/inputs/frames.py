@@ -12,9 +12,8 @@ from rclpy.duration import Duration
 from rclpy.time import Time as RosTime
 
 from lime_planner.core.errors import ParameterError, ProblemError, Refusal
-from lime_planner.core.geometry import pose_to_matrix
+from lime_planner.core.geometry import TransformTree, clean_name, pose_to_matrix
 from lime_planner.core.status import Status
-from lime_planner.core.transforms import TransformTree, clean_name
 from lime_planner.core.types import Array
 
 

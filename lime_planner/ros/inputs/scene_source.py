@@ -10,9 +10,9 @@ from dataclasses import dataclass
 from std_msgs.msg import Header
 
 from lime_planner.core.errors import Refusal, SceneError
+from lime_planner.core.geometry import clean_name
 from lime_planner.core.parameters import NodeSettings
 from lime_planner.core.status import Status
-from lime_planner.core.transforms import clean_name
 from lime_planner.core.types import Array
 from lime_planner.ros.inputs.frames import Frames
 from lime_planner.ros.inputs.latest import Inputs, Sample

@@ -26,7 +26,7 @@ from std_msgs.msg import String
 from trajectory_msgs.msg import JointTrajectory
 from visualization_msgs.msg import MarkerArray
 
-from lime_planner.collision.arm_filter_live import make_arm_filter
+from lime_planner.collision.arm_filter import make_arm_filter
 from lime_planner.core.errors import LimePlannerError, Refusal
 from lime_planner.core.status import Status
 from lime_planner.robot.model import Robot

@@ -13,7 +13,7 @@ import numpy as np
 from geometry_msgs.msg import PoseStamped
 
 from lime_planner.core.errors import LimePlannerError, Refusal
-from lime_planner.core.geometry import matrix_to_pose
+from lime_planner.core.geometry import clean_name, matrix_to_pose
 from lime_planner.core.status import Status
 from lime_planner.core.types import Array
 from lime_planner.pipeline.plan_record import PlanRecord
@@ -243,7 +243,7 @@ class Requests:
         began_s = time.monotonic()
         header = target.msg.header
         arm = self._arm_at_start(snapshot)
-        frame = header.frame_id.strip().lstrip("/")
+        frame = clean_name(header.frame_id)
         T_base_tool = target.T_frame_tool
         if frame != loaded.robot.planning_frame:
             T = self._frames.lookup(loaded.robot.planning_frame, frame, header.stamp, snapshot.node.tf_timeout_s, ticket.should_stop)

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from lime_planner.core.errors import Refusal
+from lime_planner.core.geometry import clean_name
 from lime_planner.core.status import Status
 from lime_planner.doctor.findings import Finding, Level, fault, ok, warning
 from lime_planner.ros.inputs.clouds import decode_cloud
@@ -279,7 +280,7 @@ def _look_up(live: Live, sample: Sample) -> None:
         Refusal: TF_ERROR.
     """
     header = sample.msg.header
-    frame = header.frame_id.strip().lstrip("/")
+    frame = clean_name(header.frame_id)
     if live.arm is not None and frame != live.arm.planning_frame:
         live.listener.frames.lookup(live.arm.planning_frame, frame, header.stamp, live.snapshot.node.tf_timeout_s, lambda: False)
 

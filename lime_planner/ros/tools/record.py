@@ -8,9 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lime_planner.collision.arm_filter_live import make_arm_filter
+from lime_planner.collision.arm_filter import make_arm_filter
 from lime_planner.core.errors import Refusal
-from lime_planner.core.geometry import matrix_to_pose
+from lime_planner.core.geometry import clean_name, matrix_to_pose
 from lime_planner.robot.model import Robot
 from lime_planner.ros.inputs.scene_source import SceneSource
 from lime_planner.ros.parameters import Snapshot
@@ -94,7 +94,7 @@ def _told(refusal: Refusal, partial: bool, listener: Listener, wait_s: float) ->
 
 
 def _in_planning_frame(listener: Listener, snapshot: Snapshot, robot: Robot, T_frame_tool: np.ndarray, header: object) -> np.ndarray:
-    frame, stamp = header.frame_id.strip().lstrip("/"), header.stamp  # type: ignore[attr-defined]
+    frame, stamp = clean_name(header.frame_id), header.stamp  # type: ignore[attr-defined]
     if frame != robot.planning_frame:
         T_frame_tool = listener.frames.lookup(robot.planning_frame, frame, stamp, snapshot.node.tf_timeout_s, lambda: False) @ T_frame_tool
     return matrix_to_pose(T_frame_tool)

@@ -1,4 +1,4 @@
-"""Real scans of tomato plants for whoever has no plant: the TomatoWUR data set, obtained through pip and converted.
+"""Real scans of tomato plants: the TomatoWUR data set, obtained through pip and converted.
 
 Source: van Marrewijk et al., Data in Brief 61 (2025) 111852; the source distribution `tomatowur` carries five plants seen by 15
 cameras, each point with the class that a network gave it: 0 leaf, 1 main stem, 2 stake, 3 side stem, 4 node. Their licence is

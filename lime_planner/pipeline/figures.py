@@ -1,9 +1,8 @@
-"""From a path to a motion that may leave: exact certificate, timing, contract, figures."""
+"""The figures of a path: length, leaf contact, clearance, cost, and the tool's way."""
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -11,19 +10,11 @@ import numpy as np
 from lime_planner.collision.exact import ExactChecker
 from lime_planner.collision.fast import LEAF
 from lime_planner.collision.joint_space import measure
-from lime_planner.core.errors import Refusal
 from lime_planner.core.geometry import matrix_to_pose
-from lime_planner.core.parameters import Settings
-from lime_planner.core.status import Status
 from lime_planner.core.types import Array
-from lime_planner.motion.contract import violations
-from lime_planner.motion.timing import time_path
-from lime_planner.motion.trajectory import Trajectory
 from lime_planner.pipeline.obstacles import Obstacles
 from lime_planner.planning.planner import load_planner
-from lime_planner.robot.model import Robot
 
-CERTIFIED_STEP_RAD = 0.01  # spacing of the exact check along a path
 MEASURED_STEP_RAD = 0.02  # spacing of the figures
 _MAX_TOOL_POSES = 500
 
@@ -46,20 +37,6 @@ def sample_path(waypoints: Array, step_rad: float) -> tuple[Array, Array]:
     return np.vstack(rows), np.concatenate(lengths)
 
 
-def hit_of(checker: ExactChecker, configurations: Array, should_stop: Callable[[], bool]) -> str | None:
-    """Check configurations exactly, one after another; the contact found in words, None if there is none.
-
-    Raises:
-        Refusal: CANCELLED before the last one; what was not looked at must never pass for clear.
-    """
-    certificate = checker.certify(configurations, should_stop)
-    if certificate.ok:
-        return None
-    if certificate.hit is None:
-        raise Refusal(Status.CANCELLED, "the request was stopped during the exact check")
-    return f"{certificate.hit} at sample {certificate.index} of {len(configurations)}"
-
-
 def leaf_profile(obstacles: Obstacles, configurations: Array) -> tuple[Array, Array]:
     """Leaf intensity and clearance to stems [m] at configurations (K, n)."""
     space = obstacles.measuring_space()
@@ -69,48 +46,6 @@ def leaf_profile(obstacles: Obstacles, configurations: Array) -> tuple[Array, Ar
         leaf[i] = space.state.misc[LEAF]
         clear[i] = space.state.clear.min()
     return leaf, clear
-
-
-def make_trajectory(robot: Robot, waypoints: Array, obstacles: Obstacles, settings: Settings) -> Trajectory:
-    """Time a path within the robot's scaled limits, slower inside leaves where the settings ask for it."""
-    scale: Callable[[Array], Array] | None = None
-    if settings.leaf_speed_scale < 1.0:
-        rows, lengths = sample_path(waypoints, MEASURED_STEP_RAD)
-        slow = leaf_profile(obstacles, rows)[0] > 0.0
-        slow |= np.concatenate([slow[1:], [False]]) | np.concatenate([[False], slow[:-1]])
-        values = np.where(slow, settings.leaf_speed_scale, 1.0)
-
-        def scale(p: Array) -> Array:
-            after = np.clip(np.searchsorted(lengths, p), 1, len(lengths) - 1)
-            return np.minimum(values[after - 1], values[after])
-
-    return time_path(
-        waypoints,
-        robot.velocity_limits,
-        robot.acceleration_limits,
-        joint_names=robot.joint_names,
-        dt_s=settings.trajectory_dt_s,
-        velocity_scaling=settings.velocity_scaling,
-        acceleration_scaling=settings.acceleration_scaling,
-        corner_tolerance_rad=settings.corner_tolerance_rad,
-        speed_scale=scale,
-    )
-
-
-def contract_violations(robot: Robot, trajectory: Trajectory, q_measured: Array, settings: Settings) -> list[str]:
-    """The rules of the motion command that a trajectory breaks, as sentences."""
-    window = 2.0 * np.pi
-    return violations(
-        trajectory,
-        q_measured=q_measured,
-        lower=np.where(robot.continuous, q_measured - window - 1e-6, robot.lower),
-        upper=np.where(robot.continuous, q_measured + window + 1e-6, robot.upper),
-        velocity_limits=robot.velocity_limits,
-        acceleration_limits=robot.acceleration_limits,
-        velocity_scaling=settings.velocity_scaling,
-        acceleration_scaling=settings.acceleration_scaling,
-        joint_names=robot.joint_names,
-    )
 
 
 def path_figures(obstacles: Obstacles, checker: ExactChecker, waypoints: Array, T_base_tool: Array | None) -> dict[str, Any]:

@@ -1,0 +1,114 @@
+"""From a path to a motion that may leave: exact certificate, timing, contract."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+
+import numpy as np
+
+from lime_planner.collision.exact import ExactChecker
+from lime_planner.core.errors import Refusal
+from lime_planner.core.parameters import Settings
+from lime_planner.core.status import Status
+from lime_planner.core.types import Array
+from lime_planner.motion.contract import violations
+from lime_planner.motion.timing import time_path
+from lime_planner.motion.trajectory import Trajectory
+from lime_planner.pipeline.context import Clock, ask
+from lime_planner.pipeline.figures import MEASURED_STEP_RAD, leaf_profile, sample_path
+from lime_planner.pipeline.obstacles import Obstacles
+from lime_planner.robot.model import Robot
+
+CERTIFIED_STEP_RAD = 0.01  # spacing of the exact check along a path
+_CLOSE_TOLERANCE_RAD = 0.001  # of corners, where the motion touched something with the tolerance of the settings
+
+
+def hit_of(checker: ExactChecker, configurations: Array, should_stop: Callable[[], bool]) -> str | None:
+    """Check configurations exactly, one after another; the contact found in words, None if there is none.
+
+    Raises:
+        Refusal: CANCELLED before the last one; what was not looked at must never pass for clear.
+    """
+    certificate = checker.certify(configurations, should_stop)
+    if certificate.ok:
+        return None
+    if certificate.hit is None:
+        raise Refusal(Status.CANCELLED, "the request was stopped during the exact check")
+    return f"{certificate.hit} at sample {certificate.index} of {len(configurations)}"
+
+
+def make_trajectory(robot: Robot, waypoints: Array, obstacles: Obstacles, settings: Settings) -> Trajectory:
+    """Time a path within the robot's scaled limits, slower inside leaves where the settings ask for it."""
+    scale: Callable[[Array], Array] | None = None
+    if settings.leaf_speed_scale < 1.0:
+        rows, lengths = sample_path(waypoints, MEASURED_STEP_RAD)
+        slow = leaf_profile(obstacles, rows)[0] > 0.0
+        slow |= np.concatenate([slow[1:], [False]]) | np.concatenate([[False], slow[:-1]])
+        values = np.where(slow, settings.leaf_speed_scale, 1.0)
+
+        def scale(p: Array) -> Array:
+            after = np.clip(np.searchsorted(lengths, p), 1, len(lengths) - 1)
+            return np.minimum(values[after - 1], values[after])
+
+    return time_path(
+        waypoints,
+        robot.velocity_limits,
+        robot.acceleration_limits,
+        joint_names=robot.joint_names,
+        dt_s=settings.trajectory_dt_s,
+        velocity_scaling=settings.velocity_scaling,
+        acceleration_scaling=settings.acceleration_scaling,
+        corner_tolerance_rad=settings.corner_tolerance_rad,
+        speed_scale=scale,
+    )
+
+
+def contract_violations(robot: Robot, trajectory: Trajectory, q_measured: Array, settings: Settings) -> list[str]:
+    """The rules of the motion command that a trajectory breaks, as sentences."""
+    window = 2.0 * np.pi
+    return violations(
+        trajectory,
+        q_measured=q_measured,
+        lower=np.where(robot.continuous, q_measured - window - 1e-6, robot.lower),
+        upper=np.where(robot.continuous, q_measured + window + 1e-6, robot.upper),
+        velocity_limits=robot.velocity_limits,
+        acceleration_limits=robot.acceleration_limits,
+        velocity_scaling=settings.velocity_scaling,
+        acceleration_scaling=settings.acceleration_scaling,
+        joint_names=robot.joint_names,
+    )
+
+
+def timed_motion(
+    obstacles: Obstacles,
+    checker: ExactChecker,
+    waypoints: Array,
+    q_measured: Array,
+    settings: Settings,
+    clock: Clock,
+    should_stop: Callable[[], bool],
+) -> Trajectory:
+    """Time a path, hold it to the rules of the motion command, and check what comes out exactly.
+
+    A motion that touches something where it cuts a corner of the certified path is timed once more, closer to the path.
+
+    Raises:
+        Refusal: PATH_INVALID with the broken rules or the contact; CANCELLED.
+    """
+    tolerances = [settings.corner_tolerance_rad]
+    if settings.corner_tolerance_rad > _CLOSE_TOLERANCE_RAD:
+        tolerances.append(_CLOSE_TOLERANCE_RAD)
+    hit: str | None = None
+    for tolerance in tolerances:
+        trajectory = make_trajectory(obstacles.robot, waypoints, obstacles, dataclasses.replace(settings, corner_tolerance_rad=tolerance))
+        clock.lap("timing")
+        ask(should_stop)
+        broken = contract_violations(obstacles.robot, trajectory, q_measured, settings)
+        if broken:
+            raise Refusal(Status.PATH_INVALID, "; ".join(broken))
+        hit = hit_of(checker, trajectory.configurations(CERTIFIED_STEP_RAD), should_stop)
+        clock.lap("certificate")
+        if hit is None:
+            return trajectory
+    raise Refusal(Status.PATH_INVALID, f"the exact check refuses the timed motion: {hit}")
