@@ -87,7 +87,7 @@ def test_a_defect_is_one_line_too(monkeypatch: pytest.MonkeyPatch, capsys: pytes
     def broken(_: object) -> int:
         raise ZeroDivisionError("a\nb")
 
-    monkeypatch.setattr(cli_scene_info, "run", broken)
+    monkeypatch.setattr(cli_scene_info, "run_info", broken)
     assert run("scene", "info", "x.npz") == 1
     assert capsys.readouterr().err == "INTERNAL_ERROR: ZeroDivisionError: a b (--debug prints where)\n"
 
@@ -98,7 +98,7 @@ def test_a_missing_library_is_named_with_its_extra(monkeypatch: pytest.MonkeyPat
     def needs_ros(_: object) -> int:
         raise ModuleNotFoundError("No module named 'rclpy'", name="rclpy.node")
 
-    monkeypatch.setattr(cli_scene_info, "run", needs_ros)
+    monkeypatch.setattr(cli_scene_info, "run_info", needs_ros)
     assert run("scene", "info", "x.npz") == 1
     assert capsys.readouterr().err == "INTERNAL_ERROR: the library 'rclpy' is not installed; pip install 'lime_planner[ros]' brings it\n"
 

@@ -11,7 +11,7 @@ from functools import cache
 import numpy as np
 import pytest
 from arm_helpers import box_of, near_configurations, obstacles_of, pipeline_of, plant, robot_named, scan, scene_of
-from test_robot_exact import Reference
+from test_exact import Reference
 
 from lime_planner.collision.fast import LEAF, NEED, SELF
 from lime_planner.collision.joint_space import measure

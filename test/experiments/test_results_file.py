@@ -89,7 +89,7 @@ KILLED = """\
 import os, signal, sys
 from pathlib import Path
 from test_results_file import plan
-from lime_planner.experiments import collection
+from lime_planner.experiments.runs import results_file as collection
 import dataclasses
 
 def run(task):
@@ -104,7 +104,7 @@ collection.collect(dataclasses.replace(plan(range(6)), run=run), Path(sys.argv[1
 
 def test_a_killed_run_keeps_every_finished_trial(tmp_path: Path) -> None:
     path = tmp_path / "results.json"
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), str(ROOT / 'test'), str(Path(__file__).parent)])}
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), str(ROOT / "test"), str(Path(__file__).parent)])}
     died = subprocess.run([sys.executable, "-c", KILLED, str(path)], env=environment, cwd=tmp_path, timeout=120, check=False)
     assert died.returncode == -signal.SIGKILL
     assert numbers_in(json.loads(path.read_text())["trials"]) == [0]

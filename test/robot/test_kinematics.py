@@ -8,8 +8,9 @@ import pytest
 
 from lime_planner.robot.builtin import share_directories
 from lime_planner.robot.kinematics import forward_kinematics, forward_many, make_chain, sine_cosine, tool_jacobian, tool_pose
+from lime_planner.robot.mesh_files import resolve_meshes
 from lime_planner.robot.model import Robot, load_robot, robot_from_urdf
-from lime_planner.robot.urdf import parse_urdf, resolve_meshes
+from lime_planner.robot.urdf import parse_urdf
 
 BOX = '<collision><geometry><box size="0.05 0.04 0.1"/></geometry></collision>'
 

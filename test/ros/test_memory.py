@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lime_planner.ros import memory
+from lime_planner.ros import runtime
 
 
 def resident_mb() -> float:
@@ -24,13 +24,13 @@ def test_pages_between_blocks_in_use_go_back() -> None:
     kept = blocks[::100]
     del blocks
     before = resident_mb()
-    memory.give_back()
+    runtime.give_back()
     assert resident_mb() < before - 100.0
     assert all(block.sum() == 8192.0 for block in kept)
 
 
 def test_without_glibc_it_does_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(memory, "_TRIM", None)
-    memory.give_back()
-    monkeypatch.setattr(memory.ctypes, "CDLL", lambda name: object())
-    assert memory._find_trim() is None
+    monkeypatch.setattr(runtime, "_TRIM", None)
+    runtime.give_back()
+    monkeypatch.setattr(runtime.ctypes, "CDLL", lambda name: object())
+    assert runtime._find_trim() is None
