@@ -33,7 +33,7 @@ CURES = {
     Status.PREEMPTED: "Nothing: the newer request has its own answer.",
     Status.CANCELLED: "Nothing: somebody called `~/stop`, or pressed Ctrl-C.",
     Status.STEM_APPEARED: "Look at the place; then plan again, or set `replan_attempts`.",
-    Status.EXECUTION_DEVIATED: "Look what holds the arm. If nothing does, the arm lags: raise `execution_lag_s`, or lower `velocity_scaling`.",
+    Status.EXECUTION_DEVIATED: "Look what holds the arm. If nothing does: a controller paused for longer than `progress_timeout_s`, or an arm that cannot keep up; lower `velocity_scaling`.",
     Status.NOTHING_TO_EXECUTE: "Call `~/preview` first; any other request discards its plan.",
     Status.ARM_MOVING: "Wait, or call `~/stop`. An arm that trembles: raise `stillness_rad`.",
     Status.NO_CONTROLLER: "Start the controller, or remap `joint_trajectory` to its topic.",

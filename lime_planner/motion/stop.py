@@ -1,8 +1,12 @@
 """How a motion is stopped, by the controller that plays it.
 
-The Kinova driver halts at once on a single point of zero velocity (and forgets the point index it would otherwise keep). A joint
-trajectory controller would be whipped back by a hold at a state measured a tenth of a second ago, so it is sent the rest of the
-running motion, slowed down to a stand: the arm never leaves its path.
+The Kinova driver halts at once on a single point of zero velocity (and forgets the point index it would otherwise keep).
+
+A joint trajectory controller goes from wherever it is to the first point of what it is sent, by a cubic that begins with its own
+position and velocity. A hold at a state measured a tenth of a second ago whips the arm back, and a first point a few hundredths of a
+second ahead turns every millimetre by which the arm is not where it was taken to be into an acceleration of 6 e / h². So it is sent the
+rest of the running motion, slowed down to a stand, of which the first part is left to the controller: it is so long (`blend_time_s`)
+that what the estimate may be off costs about one acceleration limit more. The arm brakes from the first moment all the same.
 """
 
 from __future__ import annotations
@@ -17,6 +21,8 @@ from lime_planner.core.types import Array
 from lime_planner.motion.braking_kernel import brake
 from lime_planner.motion.trajectory import Trajectory
 
+_BLEND_SHARE = 1.2  # of the acceleration limits, for what the estimate of the arm is off
+_SAME_PACE = 0.03  # paces this close to the planned one are not told apart from it
 _REACH = 0.6  # of the time to brake from full speed: half for a straight path, more where it bends
 _REACH_SLACK_RAD = 0.02
 
@@ -39,64 +45,131 @@ def one_point_stop(joint_names: Sequence[str], q_measured: npt.ArrayLike) -> Tra
     return Trajectory(tuple(joint_names), STOP_TIME_S, q[None, :], np.zeros((1, len(q))), first_time_s=STOP_TIME_S)
 
 
-def braking(running: Trajectory, elapsed_s: float, acceleration_limits: npt.ArrayLike, *, lead_s: float | None = None) -> Trajectory:
+def blend_time_s(off_rad: npt.ArrayLike, acceleration_limits: npt.ArrayLike) -> float:
+    """Return how long a controller needs to go over to a motion that it is off by so much, by about its acceleration limits [s].
+
+    A cubic that takes up an offset e within h accelerates by 6 e / h² more at its ends.
+
+    Args:
+        off_rad: how far each joint may be from where it is taken to be, (n,) [rad].
+        acceleration_limits: (n,) [rad/s²].
+    """
+    return float(np.sqrt(6.0 / _BLEND_SHARE * np.max(np.abs(off_rad) / np.asarray(acceleration_limits, dtype=np.float64))))
+
+
+def braking(
+    running: Trajectory,
+    elapsed_s: float,
+    acceleration_limits: npt.ArrayLike,
+    *,
+    lead_s: float = 0.0,
+    pace: float = 1.0,
+    off: Array | None = None,
+) -> Trajectory:
     """Return the running motion slowed down to a stand as fast as the acceleration limits allow, along its own path.
 
-    The motion's clock is what slows down. At every step it is slowed as much as the cubic between two points may be accelerated;
-    not slowing it at all is always allowed, because the motion itself keeps the limits. The greedy choice is the shortest stop
-    (the minimal-acceleration curve of time-optimal path following, Bobrow et al. 1985), but for the steps' length.
+    The motion's clock is what slows down, from now on. At every step it is slowed as much as the cubic between two points may be
+    accelerated; not slowing it at all is always allowed, because the motion itself keeps the limits. The greedy choice is the shortest
+    stop (the minimal-acceleration curve of time-optimal path following, Bobrow et al. 1985), but for the steps' length.
 
     Args:
         running: the motion being carried out.
-        elapsed_s: how long ago it was begun [s].
+        elapsed_s: how far on it the arm is [s].
         acceleration_limits: the arm's [rad/s²], (n,), unscaled: a stop may use all of them.
-        lead_s: time of the first point [s], when the arm will still be on the running motion; its dt_s by default. The controller
-            goes there from wherever it is when the message arrives.
+        lead_s: time of the first point [s], in whole steps of the motion and at least one; what lies before is left to the controller. A
+            stop that takes no longer is one point at rest, so far ahead that the arm slows down evenly.
+        pace: the arm's speed as a share of the motion's, 0 to 1.
+        off: how far the arm is beside the path, (n,) [rad]: it brakes in parallel to it.
 
     Returns:
-        A motion on the running one's grid whose last point is at rest. Its first point, moving, comes after `lead_s`.
+        A motion on the running one's grid whose last point is at rest. Its first point comes after `lead_s`.
 
     Raises:
-        ProblemError: limits of the wrong shape or not above zero, or a lead or a time that is not finite or negative.
+        ProblemError: limits of the wrong shape or not above zero, or a lead, a pace or a time that is not finite or negative.
     """
     limits = np.asarray(acceleration_limits, dtype=np.float64)
     n = len(running.joint_names)
     if limits.shape != (n,) or not (limits > 0.0).all():
         raise ProblemError(f"acceleration_limits must be {n} numbers above 0, got {limits.tolist()}")
-    dt_s = running.dt_s
-    lead = dt_s if lead_s is None else float(lead_s)
-    if not (np.isfinite(lead) and lead >= 0.0 and np.isfinite(elapsed_s) and elapsed_s >= 0.0):
-        raise ProblemError(f"elapsed_s and lead_s must be finite and at least 0, got {elapsed_s} and {lead}")
-    begin = min(elapsed_s + lead, running.duration_s)
-    if len(running) == 1:
-        return Trajectory(running.joint_names, dt_s, running.positions, np.zeros((1, n)), first_time_s=lead)
+    if not all(np.isfinite(value) and value >= 0.0 for value in (lead_s, pace, elapsed_s)):
+        raise ProblemError(f"elapsed_s, lead_s and pace must be finite and at least 0, got {elapsed_s}, {lead_s} and {pace}")
+    dt_s, beside = running.dt_s, np.zeros(n) if off is None else off
+    skipped = max(int(np.ceil(lead_s / dt_s - 1e-9)), 1)
+    lead = skipped * dt_s
+    begin = min(elapsed_s, running.duration_s)
+    positions, velocities = _slowed_down(running, begin, pace, limits)
+    if len(positions) <= skipped:
+        place = running.sample(begin + 0.5 * pace * lead)
+        return Trajectory(running.joint_names, dt_s, place[None] + beside, np.zeros((1, n)), first_time_s=lead)
+    return Trajectory(running.joint_names, dt_s, positions[skipped:] + beside, velocities[skipped:], first_time_s=lead)
+
+
+def _slowed_down(running: Trajectory, begin_s: float, pace: float, limits: Array) -> tuple[Array, Array]:
+    """Return positions and velocities of the braking, from now on, on the running motion's grid."""
+    dt_s, n = running.dt_s, len(running.joint_names)
+    if len(running) == 1 or pace <= 0.0:
+        return running.sample(begin_s)[None], np.zeros((1, n))
+    first_s, duration_s, q, v = running.first_time_s, running.duration_s, running.positions, running.velocities
+    if abs(pace - 1.0) > _SAME_PACE:  # the rest of the motion as the arm carries it out
+        steps = max(int(np.ceil((duration_s - begin_s) / (pace * dt_s))), 1)
+        moments = np.minimum(begin_s + pace * dt_s * np.arange(steps + 1), duration_s)
+        q, v = running.sample(moments), pace * running.sample_velocity(moments)
+        first_s, duration_s, begin_s = 0.0, steps * dt_s, 0.0
     # Every step that does not stand still moves the clock by half of the first, full pace at least once: twice the rest is plenty.
-    rows = 2 * int(np.ceil((running.duration_s - begin) / dt_s)) + 1000
+    rows = 2 * int(np.ceil((duration_s - begin_s) / dt_s)) + 1000
     positions, velocities = np.empty((rows, n)), np.empty((rows, n))
-    filled = brake(
-        begin, running.first_time_s, running.duration_s, dt_s, running.positions, running.velocities, limits, positions, velocities
-    )
-    return Trajectory(running.joint_names, dt_s, positions[:filled], velocities[:filled], first_time_s=lead)
+    filled = brake(begin_s, first_s, duration_s, dt_s, q, v, limits, positions, velocities)
+    return positions[:filled], velocities[:filled]
 
 
-def braking_reach(running: Trajectory, elapsed_s: float, acceleration_limits: npt.ArrayLike, lead_s: float) -> Array:
-    """Bound how far a stop of a motion may take each joint from where it is, (n,) [rad].
+def straight_stop(
+    joint_names: Sequence[str], q: npt.ArrayLike, velocity: npt.ArrayLike, lower: npt.ArrayLike, upper: npt.ArrayLike, limits: npt.ArrayLike
+) -> Trajectory:
+    """Return one point at rest that a joint trajectory controller reaches by braking evenly: for an arm that left its path.
 
-    With v the largest speed of a joint in the motion's next T seconds and T the longest v / a of all joints, that is
-    v · (lead + 0.6 T) and 0.02 rad: a joint alone would come to rest within v · T / 2, but all of them stay on their path together.
+    Args:
+        joint_names: the arm's n joints.
+        q: where it is [rad], (n,).
+        velocity: how fast it is [rad/s], (n,).
+        lower: joint limits [rad], (n,), that it is not led beyond; an arm that is beyond them stays there.
+        upper: the same.
+        limits: acceleration limits [rad/s²], (n,).
+    """
+    here, speed = np.asarray(q, dtype=np.float64), np.asarray(velocity, dtype=np.float64)
+    time_s = max(float(np.max(np.abs(speed) / np.asarray(limits, dtype=np.float64))), STOP_TIME_S)
+    place = np.clip(here + 0.5 * time_s * speed, np.minimum(lower, here), np.maximum(upper, here))
+    return Trajectory(tuple(joint_names), time_s, place[None], np.zeros((1, len(here))), first_time_s=time_s)
+
+
+def braking_reach(speeds: npt.ArrayLike, acceleration_limits: npt.ArrayLike, lead_s: float) -> Array:
+    """Bound how far a stop may take each joint from where it was measured, (n,) [rad].
+
+    With v the speed of a joint and T the longest v / a of all joints, that is v · (lead + 0.6 T) and 0.02 rad: a joint alone would come to
+    rest within v · T / 2, but all of them stay on their path together, and it bends.
+
+    Args:
+        speeds: of the joints, (n,) [rad/s]; see `speeds_ahead`.
+        acceleration_limits: the arm's [rad/s²], (n,).
+        lead_s: time until the arm brakes: the age of the measurement, and the message's way [s].
+    """
+    fastest = np.abs(np.asarray(speeds, dtype=np.float64))
+    time_s = float((fastest / np.asarray(acceleration_limits, dtype=np.float64)).max())
+    return np.asarray(fastest * (lead_s + _REACH * time_s) + _REACH_SLACK_RAD, dtype=np.float64)
+
+
+def speeds_ahead(running: Trajectory, elapsed_s: float, acceleration_limits: npt.ArrayLike, lead_s: float) -> Array:
+    """Return the largest speed of each joint in the part of a motion that a stop may still pass through, (n,) [rad/s].
 
     Args:
         running: the motion being carried out.
         elapsed_s: how far it is [s].
         acceleration_limits: the arm's [rad/s²], (n,).
-        lead_s: time until the braking begins, and the age of what is known of the arm [s].
+        lead_s: see `braking_reach`.
     """
-    limits = np.asarray(acceleration_limits, dtype=np.float64)
     speed = np.abs(running.velocities)
-    horizon_s = lead_s + float((speed.max(axis=0) / limits).max())
+    horizon_s = lead_s + 2.0 * _REACH * float((speed.max(axis=0) / np.asarray(acceleration_limits, dtype=np.float64)).max())
     first, last = np.searchsorted(running.times(), (elapsed_s - running.dt_s, elapsed_s + horizon_s + running.dt_s))
-    fastest = speed[first : max(last, first + 1)].max(axis=0, initial=0.0)
-    return np.asarray(fastest * (lead_s + _REACH * float((fastest / limits).max())) + _REACH_SLACK_RAD, dtype=np.float64)
+    return np.asarray(speed[first : max(last, first + 1)].max(axis=0, initial=0.0), dtype=np.float64)
 
 
 def warm_up() -> None:

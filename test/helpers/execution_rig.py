@@ -19,7 +19,10 @@ from lime_planner.ros.execution.stopping import make_stop
 from lime_planner.ros.inputs.joint_states import ArmState, JointHistory
 from lime_planner.ros.parameters import Snapshot, snapshot_from
 
-QUICK = {"stillness_time_s": 0.06, "goal_time_s": 0.3, "stillness_timeout_s": 0.5, "execution_lag_s": 0.1}
+#: Waits for other threads, which live in real time.
+real_sleep = time.sleep
+
+QUICK = {"stillness_time_s": 0.06, "goal_time_s": 0.3, "stillness_timeout_s": 0.5, "progress_timeout_s": 3.0}
 
 
 class Rig:
@@ -38,7 +41,7 @@ class Rig:
             lambda trajectory: trajectory,
             self.sent.append,
             lambda: self.subscribers,
-            lambda motion, state, on_path: make_stop(FakeRobot(), motion, state, on_path),
+            lambda motion, state, on_path, controller: make_stop(FakeRobot(), motion, state, on_path, controller),
             self.stopped.append,
             self.ended.append,
             lambda: self.allowed,
@@ -75,8 +78,12 @@ def refusal_of(call: Callable[[], object]) -> tuple[Status, str]:
 
 
 @pytest.fixture(name="rig")
-def rested() -> Rig:
+def rested(monkeypatch: pytest.MonkeyPatch) -> Rig:
+    """A rig at rest, in a time of its own that goes on when something sleeps: whatever the machine does, the test is the same."""
     braking.warm_up()  # as a node does: the first stop loads its kernels otherwise
+    now = [1000.0]
+    monkeypatch.setattr(time, "monotonic", lambda: now[0])
+    monkeypatch.setattr(time, "sleep", lambda duration_s: now.__setitem__(0, now[0] + duration_s))
     made = Rig()
     made.rest(START)
     return made

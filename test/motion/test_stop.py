@@ -33,7 +33,7 @@ def test_braking_keeps_path_and_limits(scaling):
         taken.append(time.perf_counter() - start)
         assert stop.first_time_s == motion.dt_s == stop.dt_s
         assert not stop.velocities[-1].any()
-        assert np.allclose(stop.positions[0], motion.sample(elapsed + motion.dt_s), atol=1e-12)
+        assert np.abs(stop.positions[0] - motion.sample(elapsed + motion.dt_s)).max() <= 0.5 * motion.dt_s**2 * 2.0
         # No longer than the motion itself would have taken.
         assert stop.duration_s <= motion.duration_s - elapsed + 2 * motion.dt_s
         if len(stop) > 1:
@@ -90,5 +90,5 @@ def test_bad_calls_are_named():
         one_point_stop(NAMES, [np.nan] * 6)
     with pytest.raises(ProblemError, match="acceleration_limits must be 6 numbers above 0"):
         braking(motion, 0.1, np.zeros(6))
-    with pytest.raises(ProblemError, match="elapsed_s and lead_s"):
+    with pytest.raises(ProblemError, match="elapsed_s, lead_s and pace"):
         braking(motion, -0.1, ACCELERATIONS)

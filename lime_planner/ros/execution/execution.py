@@ -47,8 +47,14 @@ class _Stop:
     over_s: float
 
 
-#: Makes the stop: (motion or None, newest measured state or None, arm on the plan?) -> what to send, or None.
-StopMaker = Callable[[Motion | None, ArmState | None, bool], Trajectory | None]
+#: Makes the stop: (motion or None, newest measured state or None, arm on the plan?, controller) -> what to send, or None.
+StopMaker = Callable[[Motion | None, ArmState | None, bool, str], Trajectory | None]
+#: How long a controller may take to begin with a stop [s].
+_STOP_BEGINS_S = 0.2
+#: A controller this slow is waited for as if it were no slower, and no longer than that [s].
+_SLOWEST_PACE, _LONGEST_STILLNESS_S = 0.1, 2.5
+#: Within so many goal tolerances of the path's end an arm that comes on no more is taken to have ended its motion.
+_NEAR_END = 3.0
 
 
 class Execution:
@@ -212,9 +218,9 @@ class Execution:
                 if cancelled and self._stopping is not None:
                     self._stop_again(self._stopping, sentence)
                 return self._stopping is not None
-            command = self._make_stop(motion, self._joints.newest, status is not Status.EXECUTION_DEVIATED)
+            command = self._make_stop(motion, self._joints.newest, status is not Status.EXECUTION_DEVIATED, motion.snapshot.node.controller)
             now_s = time.monotonic()
-            over_s = now_s + motion.snapshot.node.execution_lag_s
+            over_s = now_s + _STOP_BEGINS_S
             if command is not None:
                 self._publish(self._prepare(command))
                 over_s += command.duration_s
@@ -227,12 +233,12 @@ class Execution:
         """Take in that somebody wants an arm to stay that is being stopped already."""
         node = stop.motion.snapshot.node
         if time.monotonic() > stop.over_s and self._joints.moving(node.stillness_time_s, node.stillness_rad):
-            self._hold()
+            self._hold(node.controller)
         # A motion that is aborted may be planned again; a cancelled one may not.
         self._stopping = dataclasses.replace(stop, status=Status.CANCELLED, sentence=sentence)
 
-    def _hold(self) -> bool:
-        command = self._make_stop(None, self._joints.newest, False)
+    def _hold(self, controller: str) -> bool:
+        command = self._make_stop(None, self._joints.newest, False, controller)
         if command is not None:
             self._publish(self._prepare(command))
         return command is not None
@@ -251,28 +257,33 @@ class Execution:
             if not self._joints.moving(node.stillness_time_s, node.stillness_rad):
                 return ""
             if self._restless is not None:
-                return f"the arm has not come to rest since plan {self._restless.plan_id}: a hold was sent" if self._hold() else ""
+                return (
+                    f"the arm has not come to rest since plan {self._restless.plan_id}: a hold was sent"
+                    if self._hold(node.controller)
+                    else ""
+                )
             if not node.motion_enabled:  # whoever has forbidden motions moves the arm by other means, or must stop it by them
                 return "the arm moves, but not by this node, and no hold was sent, because motion_enabled is false"
-            return "the arm moved, but not by this node: a hold was sent" if self._hold() else ""
+            return "the arm moved, but not by this node: a hold was sent" if self._hold(node.controller) else ""
 
-    def reached_s(self, motion: Motion) -> float:
+    @staticmethod
+    def reached_s(motion: Motion) -> float:
         """Return how far on a motion's plan the arm was when it was measured last [s]; it is not behind that now."""
-        state = self._joints.newest
-        return max(motion.span_s()[0] - motion.snapshot.node.execution_lag_s, 0.0) if state is None else motion.fit(state)[0]
+        return motion.follower.moment_s
 
     def on_state(self, state: ArmState) -> None:
-        """Compare a new measurement with the plan."""
+        """Compare a new measurement with the path."""
         with self._lock:
             motion = self._motion
             if motion is None:
                 return
-            off = np.abs(motion.fit(state)[1])
+            motion.follow(state)
+            off = np.abs(motion.follower.off)
             joint = int(off.argmax())
             limit = motion.snapshot.node.execution_tolerance_rad
             if off[joint] > limit:
                 name = motion.trajectory.joint_names[joint]
-                sentence = f"{name} is {off[joint]:.3f} rad from the plan at {motion.elapsed_s():.2f} s, the limit is {limit:g} rad"
+                sentence = f"{name} is {off[joint]:.3f} rad from the path at {motion.elapsed_s():.2f} s, the limit is {limit:g} rad"
                 self.stop(Status.EXECUTION_DEVIATED, sentence)
 
     def tick(self) -> None:
@@ -312,19 +323,30 @@ class Execution:
             sentence = f"the joint states fell silent for {silent_s:.2f} s during the motion, the limit is {limit_s:g} s"
             self.stop(Status.STALE_INPUT, sentence)
             return None
-        least_s, most_s = motion.span_s()
-        if most_s < motion.trajectory.duration_s or state is None:
+        if state is None or max(motion.clocks_s()) < motion.trajectory.duration_s:
+            self._stop_if_stuck(motion, node.progress_timeout_s)
             return None
+        follower = motion.follower
         off = float(np.abs(state.q - motion.trajectory.positions[-1]).max())
-        if off <= node.goal_tolerance_rad and self._joints.still(node.stillness_time_s, node.stillness_rad):
+        # A slow controller creeps into its last point: it must be seen to rest for longer.
+        still_s = min(node.stillness_time_s / max(follower.moving_pace, _SLOWEST_PACE), _LONGEST_STILLNESS_S)
+        near = follower.remaining_rad() <= _NEAR_END * node.goal_tolerance_rad
+        if near and off <= node.goal_tolerance_rad and self._joints.still(still_s, node.stillness_rad):
             self._motion = None
             sentence = f"the arm rests {off:.4f} rad from the planned end after {motion.elapsed_s():.2f} s"
             return Ended(motion, Status.SUCCEEDED, sentence, self.cancels)
-        late_s = least_s - motion.trajectory.duration_s
-        if late_s > node.goal_time_s:
-            self.stop(
-                Status.EXECUTION_DEVIATED,
-                f"{late_s:.2f} s after the motion's end the arm is {off:.3f} rad from its last point, "
-                f"the limit is {node.goal_tolerance_rad:g} rad, at rest",
-            )
+        self._stop_if_stuck(motion, node.goal_time_s if near else node.progress_timeout_s)
         return None
+
+    def _stop_if_stuck(self, motion: Motion, timeout_s: float) -> None:
+        """Stop a motion that has not come on along its path for too long."""
+        waited_s = motion.waited_s()
+        if waited_s <= timeout_s:
+            return
+        state = self._joints.newest
+        off = 0.0 if state is None else float(np.abs(state.q - motion.trajectory.positions[-1]).max())
+        self.stop(
+            Status.EXECUTION_DEVIATED,
+            f"the arm has not come on along its path for {waited_s:.2f} s, {off:.3f} rad from its last point; the limits are "
+            f"{timeout_s:g} s and {motion.snapshot.node.goal_tolerance_rad:g} rad, at rest",
+        )

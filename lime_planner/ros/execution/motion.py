@@ -8,12 +8,15 @@ from dataclasses import dataclass
 
 from lime_planner.core.status import Status
 from lime_planner.core.types import Array
-from lime_planner.motion.progress import best_fit
+from lime_planner.motion.progress import Follower
 from lime_planner.motion.trajectory import Trajectory
 from lime_planner.pipeline.result import PlanResult
 from lime_planner.ros.inputs.joint_states import ArmState
 from lime_planner.ros.inputs.latest import Target
 from lime_planner.ros.parameters import Snapshot
+
+#: A simulation may be this many times slower than the real time.
+_SLOWEST_CLOCK = 10.0
 
 
 @dataclass(frozen=True)
@@ -32,6 +35,7 @@ class Motion:
         target: the target of its request, as it came in.
         simulated: a simulation's time now [s], by which its controller goes; None without one.
         simulated_start_s: that time at sending.
+        follower: how far the arm has come, by what was measured.
     """
 
     plan_id: int
@@ -45,24 +49,35 @@ class Motion:
     target: Target | None = None
     simulated: Callable[[], float | None] = lambda: None
     simulated_start_s: float | None = None
+    follower: Follower = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        """Begin to follow the motion."""
+        object.__setattr__(self, "follower", Follower(self.trajectory))
 
     def elapsed_s(self) -> float:
         """Time since sending [s]."""
         return time.monotonic() - self.started_s
 
-    def span_s(self) -> tuple[float, float]:
-        """Return how far the controller should be [s], least and most: by real or by simulated time, whichever it goes by."""
+    def clocks_s(self) -> tuple[float, ...]:
+        """Return how long the motion runs [s], by each clock that the controller may go by: real time, and simulated time that runs."""
         elapsed_s, now_s = self.elapsed_s(), self.simulated()
         simulated_s = 0.0 if now_s is None or self.simulated_start_s is None else now_s - self.simulated_start_s
-        if simulated_s <= 0.0:  # no simulation, or one whose clock stands still or was set back
-            return elapsed_s, elapsed_s
-        return min(elapsed_s, simulated_s), max(elapsed_s, simulated_s)
+        # A simulation's clock may stand still or be set back.
+        return (elapsed_s,) if simulated_s <= 0.0 else (elapsed_s, simulated_s)
 
-    def fit(self, state: ArmState) -> tuple[float, Array]:
-        """Compare a measurement with the plan: the moment that it fits best [s], and how far off each joint is, (n,) [rad]."""
+    def follow(self, state: ArmState) -> None:
+        """Take in a measurement: how far on its path the arm is, and how far off it (`follower`)."""
+        if state is self.follower.seen:
+            return
+        self.follower.seen = state
         since_s = time.monotonic() - state.arrival_s
-        least_s, most_s = self.span_s()
-        return best_fit(self.trajectory, state.q, least_s - since_s - self.snapshot.node.execution_lag_s, most_s - since_s)
+        self.follower.update(state.q, [clock_s - since_s for clock_s in self.clocks_s()], state.latency_s)
+
+    def waited_s(self) -> float:
+        """Return how long the arm has not come on along its path [s]: by the slowest clock, one that stands still not counted."""
+        waits = [now_s - then_s for now_s, then_s in zip(self.clocks_s(), self.follower.progressed_s, strict=False)]
+        return max(min(waits), waits[0] / _SLOWEST_CLOCK)
 
 
 @dataclass(frozen=True)

@@ -29,6 +29,8 @@ HISTORY_S = 5.0
 CLOCK_JUMP_S = 1.0
 #: A cloud's stamp may lie this far outside the history before its arm state counts as unknown [s].
 STAMP_SLACK_S = 0.2
+#: Velocities are measured over at least and at most this long [s]: Kinova's driver sends ten states a second.
+_SHORTEST_SPAN_S, _LONGEST_SPAN_S = 0.05, 0.3
 
 
 @dataclass(frozen=True)
@@ -40,12 +42,14 @@ class ArmState:
         arrival_s: when it arrived, on the monotonic clock.
         stamp_s: its stamp in ROS time; 0.0 when it had none.
         latency_s: ROS time at arrival minus stamp; 0.0 without a stamp.
+        velocity: (n,) [rad/s], from the positions of the last tenth of a second or so; None where the history has none.
     """
 
     q: Array
     arrival_s: float
     stamp_s: float
     latency_s: float
+    velocity: Array | None = None
 
     def age_s(self, now_s: float) -> float:
         """Age of the measurement at the monotonic time `now_s`, its way here included where the clocks allow to tell."""
@@ -80,7 +84,7 @@ class JointHistory:
         with self._condition:
             self.received += not counted
             self.foreign -= counted
-            state = self._unwrapped(state)
+            state = self._followed_up(state)
             if self._states and 0.0 < state.stamp_s < self._states[-1].stamp_s - CLOCK_JUMP_S:
                 self._states.clear()  # simulated time began anew: the stamps before mean nothing now
             self._states.append(state)
@@ -89,12 +93,19 @@ class JointHistory:
             self._condition.notify_all()
             return state
 
-    def _unwrapped(self, state: ArmState) -> ArmState:
+    def _followed_up(self, state: ArmState) -> ArmState:
         if self._continuous is not None and self._before is not None:
             self._added = whole_turns(self._before - state.q, self._continuous)
             if self._added.any():
                 state = replace(state, q=state.q + self._added)
         self._before = state.q
+        measured_s = state.arrival_s - state.latency_s
+        for older in reversed(self._states):
+            apart_s = measured_s - (older.arrival_s - older.latency_s)
+            if apart_s > _LONGEST_SPAN_S:
+                break
+            if apart_s >= _SHORTEST_SPAN_S:
+                return replace(state, velocity=(state.q - older.q) / apart_s)
         return state
 
     def take_reported_turns(self) -> None:

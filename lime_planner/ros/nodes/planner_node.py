@@ -89,7 +89,7 @@ class PlannerNode(Node):
             to_joint_trajectory,
             self._command.publish,
             self._command.get_subscription_count,
-            lambda motion, state, on_path: make_stop(self._robot(), motion, state, on_path),
+            lambda motion, state, on_path, controller: make_stop(self._robot(), motion, state, on_path, controller),
             lambda motion: self.board.show(motion.plan_id, Phase.STOPPING),
             self._on_end,
             lambda: self.params.snapshot.node.motion_enabled,
