@@ -95,7 +95,7 @@ class Rig:
             self.silence(0.05)
             self.node.inputs.joints.clear()
         elif name == "motion":
-            self.node.execution.forget_last()
+            self.node.execution.way_out.clear()
         else:
             self.node.inputs.slots[name] = Slot(name)
             self.node.source._parts.clear()  # it goes by the clouds' numbers, which begin anew

@@ -18,7 +18,7 @@ from lime_planner.core.status import Status
 from lime_planner.pipeline.plan_record import PlanRecord
 from lime_planner.robot.model import Robot, home, load_robot
 from lime_planner.ros.display.markers import markers
-from lime_planner.ros.execution.retreat import way_back
+from lime_planner.ros.execution.retreat import Path, WayOut, nearest_turns, way_back
 from lime_planner.ros.model_loader import Loaded, ModelLoader
 from lime_planner.ros.runtime import Throttle
 from lime_planner.scene.scene import Scene
@@ -178,7 +178,44 @@ def test_the_way_back_leads_over_the_same_waypoints() -> None:
     assert way_back(PATH, [1.0, 1.0]).tolist() == [[1.0, 1.0], [1.0, 0.0], [0.0, 0.0]]
     assert way_back(PATH, [1.0, 0.4]).tolist() == [[1.0, 0.4], [1.0, 0.0], [0.0, 0.0]]
     assert way_back(PATH, [0.5, 0.01]).tolist() == [[0.5, 0.01], [0.0, 0.0]]
-    assert way_back(PATH, [0.5, 0.0], forward=True).tolist() == [[0.5, 0.0], [1.0, 0.0], [1.0, 1.0]]
+
+
+def gone(*paths: list[list[float]]) -> WayOut:
+    way = WayOut()
+    for path in paths:
+        way.went(Path(np.array(path)), [False, False])
+    return way
+
+
+def out_of(way: WayOut, q: list[float]) -> list[list[float]]:
+    assert way.path is not None
+    return way_back(nearest_turns(way.path.waypoints, q, [False, False]), q).tolist()
+
+
+def test_the_way_out_is_that_of_the_last_real_motions() -> None:
+    there = PATH.tolist()
+    assert out_of(gone(there), [1.0, 1.0]) == [[1.0, 1.0], [1.0, 0.0], [0.0, 0.0]]
+    correction = [[1.0, 1.0], [1.02, 1.03]]
+    assert out_of(gone(there, correction), [1.02, 1.03]) == [[1.02, 1.03], [1.0, 1.0], [1.0, 0.0], [0.0, 0.0]]
+    again = [[1.02, 1.03], [1.0, 1.0]]
+    assert out_of(gone(there, correction, again), [1.0, 1.0])[-1] == [0.0, 0.0]
+    onwards = [[1.0, 1.0], [2.0, 1.0]]
+    assert out_of(gone(there, onwards), [2.0, 1.0]) == [[2.0, 1.0], [1.0, 1.0]], "a real motion from where the last one ended"
+    stopped_on_the_way = [[1.0, 0.3], [1.5, 0.3]]
+    assert out_of(gone(there, stopped_on_the_way), [1.5, 0.3]) == [[1.5, 0.3], [1.0, 0.3], [1.0, 0.0], [0.0, 0.0]]
+    back_at_the_beginning = [[0.001, 0.0], [0.0, 1.0]]
+    assert out_of(gone(there, back_at_the_beginning), [0.0, 1.0])[-1] == [0.001, 0.0]
+    led_by_hand = [[3.0, 3.0], [3.02, 3.0]]
+    assert out_of(gone(there, led_by_hand), [3.02, 3.0]) == [[3.02, 3.0], [3.0, 3.0]]
+
+
+def test_the_way_out_is_found_across_a_turn() -> None:
+    way = WayOut()
+    way.went(Path(np.array([[3.0, 0.0], [3.3, 1.0]])), [True, False])
+    turn = 2.0 * np.pi
+    way.went(Path(np.array([[3.3 - turn, 1.0], [3.32 - turn, 1.0]])), [True, False])
+    assert way.path is not None
+    assert way.path.waypoints == pytest.approx(np.array([[3.0 - turn, 0.0], [3.3 - turn, 1.0], [3.32 - turn, 1.0]]))
 
 
 def test_the_way_back_must_be_known() -> None:

@@ -21,6 +21,7 @@ from lime_planner.core.types import Array
 from lime_planner.motion.trajectory import Trajectory
 from lime_planner.pipeline.result import PlanResult
 from lime_planner.ros.execution.motion import Ended, Motion
+from lime_planner.ros.execution.retreat import WayOut
 from lime_planner.ros.inputs.joint_states import ArmState, JointHistory
 from lime_planner.ros.inputs.latest import Target
 from lime_planner.ros.parameters import Snapshot
@@ -98,7 +99,8 @@ class Execution:
         self._motion: Motion | None = None
         self._stopping: _Stop | None = None
         self._restless: Motion | None = None  # a motion that could not be seen to rest after its stop, until the arm is seen to
-        self._last: Motion | None = None
+        #: What a retreat goes back along.
+        self.way_out = WayOut()
         #: How often somebody wanted the arm to stop and to stay: whoever would move it again by himself must look at this.
         self.cancels = 0
 
@@ -124,15 +126,6 @@ class Execution:
         """Whether a stop was sent and the arm does not rest yet."""
         return self.ending is not None
 
-    @property
-    def last(self) -> Motion | None:
-        """The newest motion that was sent, running or not; what a retreat goes back along."""
-        return self._last
-
-    def forget_last(self) -> None:
-        """Nothing to retreat along any more."""
-        self._last = None
-
     def send(
         self,
         plan_id: int,
@@ -143,7 +136,6 @@ class Execution:
         *,
         T_base_tool: Array | None = None,
         target: Target | None = None,
-        retreat: bool = False,
         replans_left: int = 0,
     ) -> Motion | None:
         """Check once more and send.
@@ -154,7 +146,7 @@ class Execution:
             trajectory: what to send; its first point is where planning began.
             snapshot: the parameters of the plan.
             commit: the request's point of no return; False when it was answered meanwhile, then nothing is sent.
-            T_base_tool, target, retreat, replans_left: see `Motion`.
+            T_base_tool, target, replans_left: see `Motion`.
 
         Returns:
             The motion, or None when the request was answered meanwhile.
@@ -176,14 +168,13 @@ class Execution:
             if not commit():
                 return None
             self._publish(message)
-            self._motion = self._last = Motion(
+            self._motion = Motion(
                 plan_id,
                 result,
                 trajectory,
                 time.monotonic(),
                 snapshot,
                 T_base_tool=T_base_tool,
-                retreat=retreat,
                 replans_left=replans_left,
                 target=target,
                 simulated=self._simulated,

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
+import numpy as np
+
+from lime_planner.core.geometry import whole_turns
 from lime_planner.core.status import Status
-from lime_planner.core.types import Array
+from lime_planner.core.types import Array, Bool
 from lime_planner.motion.progress import Follower
 from lime_planner.motion.trajectory import Trajectory
 from lime_planner.pipeline.result import PlanResult
@@ -17,6 +20,8 @@ from lime_planner.ros.parameters import Snapshot
 
 #: A simulation may be this many times slower than the real time.
 _SLOWEST_CLOCK = 10.0
+#: A motion whose joints all stay within this has no length [rad]: less than what an arm at rest is measured to.
+_NO_MOTION_RAD = 5e-4
 
 
 @dataclass(frozen=True)
@@ -30,7 +35,6 @@ class Motion:
         started_s: monotonic time of sending.
         snapshot: the parameters of the plan.
         T_base_tool: the target it leads to, or on a retreat away from, (4, 4).
-        retreat: whether it leads back along an earlier one.
         replans_left: how often it may be planned again if it is aborted.
         target: the target of its request, as it came in.
         simulated: a simulation's time now [s], by which its controller goes; None without one.
@@ -44,7 +48,6 @@ class Motion:
     started_s: float
     snapshot: Snapshot
     T_base_tool: Array | None = None
-    retreat: bool = False
     replans_left: int = 0
     target: Target | None = None
     simulated: Callable[[], float | None] = lambda: None
@@ -93,3 +96,19 @@ class Ended:
     status: Status
     sentence: str
     cancels: int = 0
+
+
+def on_turns_of(result: PlanResult, q: Array, continuous: Bool) -> PlanResult:
+    """Return a plan shifted by whole turns next to where the arm is, (n,) [rad]: its driver may report other turns by now."""
+    if result.trajectory is None:
+        return result
+    turns = whole_turns(q - result.trajectory.positions[0], continuous)
+    if not turns.any():
+        return result
+    trajectory = replace(result.trajectory, positions=result.trajectory.positions + turns)
+    return replace(result, waypoints=result.waypoints + turns, trajectory=trajectory)
+
+
+def moves(trajectory: Trajectory) -> bool:
+    """Tell whether a motion goes anywhere: an arm that rests at its goal is not sent one."""
+    return float(np.abs(trajectory.positions - trajectory.positions[0]).max()) > _NO_MOTION_RAD

@@ -1,18 +1,73 @@
-"""The way back: which waypoints lead from where the arm rests along the path that brought it there."""
+"""The way back: which waypoints lead from where the arm rests along the motions that brought it there."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
 from lime_planner.core.errors import Refusal
+from lime_planner.core.geometry import whole_turns
 from lime_planner.core.status import Status
 from lime_planner.core.types import Array
+from lime_planner.ros.inputs.latest import Target
 
 #: Farther from the path than this the way back is unknown [rad, over all joints].
 OFF_PATH_RAD = 0.1
 #: Closer to the path's beginning than this nothing is left to go back [rad].
 ARRIVED_RAD = 0.01
+#: A motion whose joints all stay within this is a correction at the end of the one before [rad].
+CORRECTION_RAD = 0.05
+
+
+@dataclass(frozen=True)
+class Path:
+    """What was executed last.
+
+    Attributes:
+        waypoints: (M, n) [rad], M >= 2.
+        T_base_tool: the newest target it led to, (4, 4), or None.
+        target: that target as it came in.
+    """
+
+    waypoints: Array
+    T_base_tool: Array | None = None
+    target: Target | None = None
+
+
+class WayOut:
+    """The path that leads out again: that of the last motion, with what belongs to it.
+
+    A motion that goes on where one was cut short belongs to it, and so does a correction at its end: neither of them begins where the
+    arm came from. Retreats are no part of it; one that was cut short is gone on with along the same path.
+    """
+
+    def __init__(self) -> None:
+        """Know of no way."""
+        self.path: Path | None = None  # replaced whole: other threads look at it
+
+    def clear(self) -> None:
+        """Forget the way: another arm."""
+        self.path = None
+
+    def went(self, path: Path, continuous: npt.ArrayLike) -> None:
+        """Take note of a motion that was sent.
+
+        Args:
+            path: its own.
+            continuous: which joints turn without end, (n,) bool.
+        """
+        begun = path.waypoints[0]
+        if self.path is not None:
+            before = nearest_turns(self.path.waypoints, begun, continuous)
+            index, distance = nearest_on_path(before, begun)
+            on_path = distance <= OFF_PATH_RAD and np.abs(begun - before[0]).max() > ARRIVED_RAD
+            cut_short = np.abs(begun - before[-1]).max() > CORRECTION_RAD
+            correction = np.abs(path.waypoints - begun).max() <= CORRECTION_RAD
+            if on_path and (cut_short or correction):
+                path = replace(path, waypoints=np.concatenate([before[: index + 1], path.waypoints]))
+        self.path = path
 
 
 def nearest_on_path(waypoints: Array, q: Array) -> tuple[int, float]:
@@ -26,20 +81,32 @@ def nearest_on_path(waypoints: Array, q: Array) -> tuple[int, float]:
     return index, float(distances[index])
 
 
-def way_back(waypoints: npt.ArrayLike, q: npt.ArrayLike, *, forward: bool = False) -> Array:
+def nearest_turns(waypoints: npt.ArrayLike, q: npt.ArrayLike, continuous: npt.ArrayLike) -> Array:
+    """Shift a path by whole turns of its continuous joints so that it comes nearest to a configuration.
+
+    Args:
+        waypoints: the path, (M, n) [rad].
+        q: where the arm rests, (n,) [rad]; its driver may report other turns than when the path was executed.
+        continuous: which joints turn without end, (n,) bool.
+    """
+    path, here = np.asarray(waypoints, dtype=np.float64), np.asarray(q, dtype=np.float64)
+    mask = np.asarray(continuous, dtype=bool)
+    turns = np.unique([whole_turns(here - waypoint, mask) for waypoint in path], axis=0)
+    distances = [nearest_on_path(path + shift, here)[1] for shift in turns]
+    return np.asarray(path + turns[int(np.argmin(distances))], dtype=np.float64)
+
+
+def way_back(waypoints: npt.ArrayLike, q: npt.ArrayLike) -> Array:
     """Return waypoints (K, n) from q back to the path's beginning.
 
     Args:
         waypoints: the path that was executed, as far as it went or beyond, (M, n) [rad].
         q: where the arm rests, (n,).
-        forward: the path was itself a way back: go on to its end instead.
 
     Raises:
         Refusal: START_INVALID when the arm is not on the path, NOTHING_TO_EXECUTE when it is back already.
     """
     path, here = np.asarray(waypoints, dtype=np.float64), np.asarray(q, dtype=np.float64)
-    if forward:
-        path = path[::-1]
     if np.abs(here - path[0]).max() <= ARRIVED_RAD:
         raise Refusal(Status.NOTHING_TO_EXECUTE, "the arm is back where the last motion began")
     index, distance = nearest_on_path(path, here)

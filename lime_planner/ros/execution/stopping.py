@@ -22,8 +22,7 @@ _POSITION_ERROR_RAD, _OFF_SHARE = 0.001, 0.5
 _ON_THE_WAY_S = 0.01
 
 
-def make_stop(
-    robot: Robot | None, motion: Motion | None, state: ArmState | None, on_path: bool, controller: str) -> Trajectory | None:
+def make_stop(robot: Robot | None, motion: Motion | None, state: ArmState | None, on_path: bool, controller: str) -> Trajectory | None:
     """Return what stops a motion.
 
     Kinova's driver gets a single point at rest. A joint trajectory controller is slowed down along the planned path, or in parallel to

@@ -189,7 +189,7 @@ class PlannerNode(Node):
         robot = loaded.robot
         self.board.robot = robot.name
         self.inputs.set_joints(tuple(robot.joint_names), robot.held_joints, robot.continuous)
-        self.execution.forget_last()
+        self.execution.way_out.clear()
         self.source.use_arm(robot.planning_frame, make_arm_filter(robot))
 
     def _on_cloud(self, name: str, msg: PointCloud2) -> None:

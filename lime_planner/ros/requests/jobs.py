@@ -19,8 +19,8 @@ from lime_planner.core.types import Array
 from lime_planner.pipeline.plan_record import PlanRecord
 from lime_planner.pipeline.result import PlanResult
 from lime_planner.ros.convert import target_matrix
-from lime_planner.ros.execution.retreat import way_back
-from lime_planner.ros.execution.turns import nearest_turns, on_turns_of
+from lime_planner.ros.execution.motion import moves, on_turns_of
+from lime_planner.ros.execution.retreat import Path, nearest_turns, way_back
 from lime_planner.ros.inputs.joint_states import ArmState
 from lime_planner.ros.inputs.latest import Target
 from lime_planner.ros.model_loader import Loaded
@@ -69,9 +69,9 @@ class Requests:
             The context of its ticket.
         """
         target: Target | None = None
-        last, previewed = self._execution.last, self.previewed  # once: other threads take them away
+        path, previewed = self._execution.way_out.path, self.previewed  # once: other threads take them away
         if kind == "retreat":
-            target = None if last is None else last.target
+            target = None if path is None else path.target
         elif kind == "execute":
             target = None if previewed is None else previewed[1].target
         else:
@@ -145,23 +145,22 @@ class Requests:
         """Go back along the motion executed last, as far as the arm got."""
         snapshot = self._begin(ticket)
         nothing = Refusal(Status.NOTHING_TO_EXECUTE, "no motion has been executed that could be gone back along")
-        if self._execution.last is None:
+        if self._execution.way_out.path is None:
             raise nothing
         with self._ready(ticket, snapshot) as loaded:
             self._come_to_rest(ticket, snapshot)
-            last = self._execution.last
-            if last is None:  # another arm was taken in meanwhile
+            path = self._execution.way_out.path
+            if path is None:  # another arm was taken in meanwhile
                 raise nothing
-            if last.target is not None:
-                self._note_target(ticket, last.target)
+            if path.target is not None:
+                self._note_target(ticket, path.target)
             with deadline(ticket, snapshot.node.deadline_s):
                 arm = self._arm_at_start(snapshot)
-                path = nearest_turns(last.result.waypoints, arm.q, loaded.robot.continuous)
-                waypoints = way_back(path, arm.q, forward=last.retreat)
+                waypoints = way_back(nearest_turns(path.waypoints, arm.q, loaded.robot.continuous), arm.q)
                 number = self._source.newest_stem_number()
                 scene = self._source.scene(snapshot, ticket.should_stop)
                 self._show_phase(ticket, Phase.PLANNING)
-                T_base_tool, should_stop = last.T_base_tool, ticket.should_stop
+                T_base_tool, should_stop = path.T_base_tool, ticket.should_stop
                 result = self._guarded(
                     lambda: loaded.pipeline.follow(waypoints, scene, T_base_tool, snapshot.plan, should_stop=should_stop)
                 )
@@ -302,10 +301,12 @@ class Requests:
         result, snapshot = planned.record.result, planned.snapshot
         enabled = snapshot.node.motion_enabled and self._parameters.snapshot.node.motion_enabled  # else `send` refuses
         number = self._look_again(ticket, loaded, planned) if enabled else 0
+        assert result.trajectory is not None  # every plan that succeeded has one
+        if enabled and not moves(result.trajectory):
+            return self._stay(ticket, result)
         left = ticket.context.replans_left
         if left is None:
             left = snapshot.node.replan_attempts if ticket.kind == "plan" else 0
-        assert result.trajectory is not None  # every plan that succeeded has one
         motion = self._execution.send(
             ticket.plan_id,
             result,
@@ -313,16 +314,27 @@ class Requests:
             snapshot,
             ticket.commit,
             T_base_tool=planned.record.result.T_base_tool,
-            retreat=retreat,
             replans_left=left,
             target=ticket.context.target,
         )
         if motion is None:
             return Answer(Status.CANCELLED, "answered before it could be sent")  # never heard: the ticket has its answer
         self.previewed = None
+        if not retreat:
+            path = Path(result.waypoints, result.T_base_tool, ticket.context.target)
+            self._execution.way_out.went(path, loaded.robot.continuous)
         if self._source.newest_stem_number() != number:
             self._watch.notice()
         return _answer_of(result)
+
+    def _stay(self, ticket: Ticket, result: PlanResult) -> Answer:
+        """Answer for a plan that leads nowhere: the arm rests at its end already, which is as good as a motion that ended there."""
+        if not ticket.commit():
+            return Answer(Status.CANCELLED, "answered before it could be sent")
+        self.previewed = None
+        sentence = "the arm rests at the planned end already; no motion was sent"
+        self._board.note(ticket.plan_id, execution_code=Status.SUCCEEDED.name, execution_message=Status.SUCCEEDED.message(sentence))
+        return Answer(result.status, sentence, result.tool_path)
 
 
 def _bare(status: Status, message: str) -> str:

@@ -27,7 +27,6 @@ def test_a_motion_that_is_followed_succeeds(rig: Rig) -> None:
     assert [ended.status for ended in rig.ended] == [Status.SUCCEEDED], rig.ended[0].sentence
     assert not rig.execution.active
     assert len(rig.sent) == 1
-    assert rig.execution.last is motion
 
 
 def test_nothing_is_sent_when_it_must_not_be(rig: Rig) -> None:
