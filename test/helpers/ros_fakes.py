@@ -35,6 +35,7 @@ class FakeRobot:
     acceleration_limits: np.ndarray = field(default_factory=lambda: np.full(3, 2.0))
     lower: np.ndarray = field(default_factory=lambda: np.full(3, -np.inf))
     upper: np.ndarray = field(default_factory=lambda: np.full(3, np.inf))
+    warnings: tuple[str, ...] = ()
     continuous: np.ndarray = field(default_factory=lambda: np.zeros(3, dtype=bool))
 
     def link_poses(self, q: np.ndarray) -> np.ndarray:
