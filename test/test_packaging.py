@@ -35,8 +35,8 @@ ROSDEP_KEYS = {
     "toppra": "toppra",
     "trimesh": "python3-trimesh-pip",
 }
-#: ROS package by import name, where they differ: the package tf2_ros is C++ alone.
-ROS_PACKAGES = {"tf2_ros": "tf2_ros_py"}
+#: ROS package by import name, where they differ.
+ROS_PACKAGES: dict[str, str] = {}
 
 
 def imported_roots(folder: Path) -> set[str]:
@@ -65,7 +65,7 @@ def manifest_depends() -> set[str]:
 
 
 def is_ros(root: str) -> bool:
-    return root.endswith(("_msgs", "_srvs", "_interfaces")) or root in {"rclpy", "tf2_ros", "launch", "launch_ros", "ament_index_python"}
+    return root.endswith(("_msgs", "_srvs", "_interfaces")) or root in {"rclpy", "launch", "launch_ros", "ament_index_python"}
 
 
 def test_one_version() -> None:

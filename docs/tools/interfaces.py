@@ -67,7 +67,7 @@ MEANINGS: dict[str, dict[str, str]] = {
 #: Topics that exist with certain parameters only.
 ON_DEMAND = {("lime_planner", "robot_description"): "robot:=topic"}
 
-#: Every ROS node's own, and those of tf2 where it is installed.
+#: Every ROS node's own, and those of tf2 where its messages are installed.
 _COMMON = ("/rosout", "/parameter_events", "/clock", "/tf", "/tf_static")
 
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from lime_planner.core.errors import Refusal
 from lime_planner.core.status import Status
+from lime_planner.core.transform_history import NoTransform
 from lime_planner.core.types import Array
 
 #: Returns T_target_source (4, 4) of two frames, target first.
@@ -38,7 +39,7 @@ class Seen:
     fixed: bool = False
 
 
-def seen_at_stamp(find: Find, planning_frame: str, source: str, fixed_frame: str, anchor: str | None) -> Seen:
+def seen_at_stamp(find: Find, planning_frame: str, source: str, fixed_frame: str, anchor: str | None, *, complete: bool = False) -> Seen:
     """Note where data lay.
 
     Args:
@@ -47,6 +48,7 @@ def seen_at_stamp(find: Find, planning_frame: str, source: str, fixed_frame: str
         source: its own frame.
         fixed_frame: the frame in which it stays; empty for the planning frame.
         anchor: see `TransformHistory.anchor`; used without a fixed frame.
+        complete: whether an anchor whose place is not known counts as a transform that is missing; otherwise it tells nothing.
 
     Raises:
         NoTransform: see `TransformHistory.find`.
@@ -56,7 +58,12 @@ def seen_at_stamp(find: Find, planning_frame: str, source: str, fixed_frame: str
     reference = fixed_frame if fixed else anchor
     if not reference or reference == planning_frame:
         return Seen(T_planning_data)
-    return Seen(T_planning_data, reference, find(reference, planning_frame), fixed)
+    try:
+        return Seen(T_planning_data, reference, find(reference, planning_frame), fixed)
+    except NoTransform:
+        if fixed or complete:
+            raise
+        return Seen(T_planning_data)
 
 
 def motion_since(seen: Seen, find_now: Find, planning_frame: str, name: str, max_base_motion_m: float) -> Array | None:
@@ -71,11 +78,16 @@ def motion_since(seen: Seen, find_now: Find, planning_frame: str, name: str, max
 
     Raises:
         Refusal: STALE_INPUT, it moved farther and there is no fixed frame.
-        NoTransform: see `TransformHistory.find`.
+        NoTransform: the fixed frame is not known now.
     """
     if seen.T_reference_planning is None:
         return None
-    T_now_then = find_now(planning_frame, seen.reference) @ seen.T_reference_planning
+    try:
+        T_now_then = find_now(planning_frame, seen.reference) @ seen.T_reference_planning
+    except NoTransform:
+        if seen.fixed:
+            raise
+        return None
     moved_m = base_motion_m(T_now_then)
     if seen.fixed:
         return T_now_then if moved_m > _AT_REST_M else None

@@ -163,7 +163,7 @@ class NodeSettings:
     max_cloud_skew_s: float = _row(0.0, "Refuse leaf and stem clouds whose stamps are further apart than this; 0: off.", "s", 0.0, 1e6)
     max_clock_skew_s: float = _row(1.0, "Refuse stamps that lie further in the future than this; 0: off.", "s", 0.0, 1e6)
     static_transforms: tuple[str, ...] = _row((), "Known without `/tf`: `parent child x y z qx qy qz qw` of each camera, in metres.", read_only=True)
-    fixed_frame: str = _row("", "Frame in which clouds and targets stay where they were seen while the base moves (`odom`, `map`); empty: the planning frame, and a base that moved makes them stale.")
+    fixed_frame: str = _row("", "Frame in which clouds and targets stay where they were seen while the base moves (`odom`, `map`); empty: the planning frame, and a base that moved makes them stale.", read_only=True)
     max_base_motion_m: float = _row(0.01, "Without fixed_frame: how far the base may have moved, in a frame above it, since a cloud's or a target's stamp before that is STALE_INPUT.", "m", 0.0, 100.0)
     tf_timeout_s: float = _row(0.2, "How long a plan waits for the transform of a cloud or a target.", "s", 0.0, 60.0)
     warm_up_timeout_s: float = _row(600.0, "How long a request waits for the compilation of the kernels before it answers NOT_READY.", "s", 0.0, 3600.0)

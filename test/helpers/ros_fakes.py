@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -147,4 +148,26 @@ def refusal_of(call: Callable[[], object]) -> tuple[Status, str]:
 def stamped(msg: Any, stamp_s: float) -> Any:
     """The message with another stamp."""
     msg.header.stamp = Time(sec=int(stamp_s), nanosec=int(stamp_s % 1.0 * 1e9))
+    return msg
+
+
+def tf_message(parent: str, child: str, x: float, at_s: float, *, yaw: float = 0.0) -> Any:
+    """What a tf2_msgs/TFMessage with one transform looks like; the type itself is not in every environment."""
+    stamp = SimpleNamespace(sec=int(at_s), nanosec=round((at_s % 1.0) * 1e9))
+    rotation = SimpleNamespace(x=0.0, y=0.0, z=float(np.sin(yaw / 2)), w=float(np.cos(yaw / 2)))
+    transform = SimpleNamespace(translation=SimpleNamespace(x=x, y=0.0, z=0.0), rotation=rotation)
+    header = SimpleNamespace(frame_id=parent, stamp=stamp)
+    return SimpleNamespace(transforms=[SimpleNamespace(header=header, child_frame_id=child, transform=transform)])
+
+
+def encode_at(x: float, count: int, *, doubles: np.ndarray | None = None) -> Any:
+    """A cloud of `count` points at (x, 0, 0), or one of given points in double precision."""
+    if doubles is None:
+        return encode_cloud(np.tile([x, 0.0, 0.0], (count, 1)))
+    msg = encode_cloud(np.zeros((len(doubles), 3)))
+    for k, axis in enumerate(msg.fields):
+        axis.offset, axis.datatype = 8 * k, 8
+    msg.point_step, msg.row_step = 24, 24 * len(doubles)
+    msg.data = type(msg.data)("B")
+    msg.data.frombytes(np.ascontiguousarray(doubles, dtype="<f8").tobytes())
     return msg

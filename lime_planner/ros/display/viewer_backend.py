@@ -11,7 +11,7 @@ from geometry_msgs.msg import PoseStamped
 from rclpy.parameter import Parameter as RosParameter
 
 from lime_planner.core.errors import LimePlannerError, Refusal
-from lime_planner.core.geometry import clean_name, matrix_to_pose
+from lime_planner.core.geometry import matrix_to_pose
 from lime_planner.core.status import Status
 from lime_planner.core.types import Array
 from lime_planner.ros.convert import to_pose
@@ -210,10 +210,7 @@ class NodeBackend:
         try:
             target = parts.inputs.target(0.0, 0.0)
             if target.msg is not self._target_msg:
-                header, T = target.msg.header, target.T_frame_tool
-                frame = clean_name(header.frame_id)
-                if frame != loaded.robot.planning_frame:
-                    T = parts.frames.lookup(loaded.robot.planning_frame, frame, header.stamp, 0.0, lambda: False) @ T
+                T = parts.source.goal(target, parts.parameters.snapshot, lambda: True)  # nothing is waited for
                 self._target, self._target_msg = matrix_to_pose(T), target.msg
         except Refusal:
             self._target, self._target_msg = None, None

@@ -1,20 +1,33 @@
-"""Where a cloud's or a target's frame is, seen from the planning frame: from tf2 where it is installed, else from parameters."""
+"""Where a cloud's or a target's frame is, seen from another: from parameters first, then from `/tf` and `/tf_static`.
+
+The package reads these topics itself, into the history that recordings are read into as well: one set of rules, live and recorded,
+with or without tf2_ros. Only the message type, tf2_msgs, must be there.
+"""
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections.abc import Callable, Sequence
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeVar
 
 from builtin_interfaces.msg import Time
+from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.clock import JumpThreshold
 from rclpy.duration import Duration
-from rclpy.time import Time as RosTime
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
 from lime_planner.core.errors import ParameterError, ProblemError, Refusal
 from lime_planner.core.geometry import TransformTree, clean_name, pose_to_matrix
 from lime_planner.core.status import Status
+from lime_planner.core.transform_history import NoTransform, TransformHistory
 from lime_planner.core.types import Array
+from lime_planner.ros.convert import stamp_s
+
+Found = TypeVar("Found")
+
+_POLL_S = 0.01
+_DEPTH = 100  #: as tf2's listeners have it
 
 
 class Frames(Protocol):
@@ -26,19 +39,20 @@ class Frames(Protocol):
 
     source: str
 
-    def lookup(self, target: str, source: str, stamp: Time, timeout_s: float, should_stop: Callable[[], bool]) -> Array:
-        """Return T_target_source (4, 4) at `stamp`.
-
-        Args:
-            target: frame of the result.
-            source: frame of the data.
-            stamp: time of the data; zero for the newest known.
-            timeout_s: how long to wait for a transform that has not arrived yet.
-            should_stop: ends the wait early.
+    def find(self, target: str, source: str, stamp_s: float = 0.0) -> Array:
+        """Return T_target_source (4, 4) at a stamp [s], 0.0 for the newest; nothing is waited for.
 
         Raises:
-            Refusal: TF_ERROR naming both frames.
+            NoTransform: see `TransformHistory.find`.
         """
+        ...
+
+    def anchor(self, base: str, source: str) -> str | None:
+        """Return the frame by which one tells whether `base` moved under data in `source`, see `TransformHistory.anchor`."""
+        ...
+
+    def listen(self, heard: Callable[[], None]) -> None:
+        """Have something called after every message with transforms."""
         ...
 
 
@@ -59,7 +73,7 @@ class StaticFrames:
             ParameterError: an entry that cannot be read.
         """
         self._tree = TransformTree()
-        self.source = f"static_transforms alone ({len(transforms)} given): tf2_ros cannot be imported"
+        self.source = f"static_transforms alone ({len(transforms)} given): tf2_msgs cannot be imported"
         for text in transforms:
             words = text.replace(",", " ").split()
             try:
@@ -70,76 +84,139 @@ class StaticFrames:
                 raise ParameterError(f"static_transforms: {text!r} is not `parent child x y z qx qy qz qw` ({error})") from None
             self._tree.add(words[0], words[1], T_parent_child)
 
-    def find(self, target: str, source: str) -> Array | None:
-        """Return T_target_source (4, 4), or None where no chain connects them."""
-        return self._tree.find(target, source)
-
-    def lookup(self, target: str, source: str, stamp: Time, timeout_s: float, should_stop: Callable[[], bool]) -> Array:
-        """See `Frames.lookup`; nothing is waited for."""
-        found = self.find(target, source)
+    def find(self, target: str, source: str, stamp_s: float = 0.0) -> Array:
+        """See `Frames.find`."""
+        found = self._tree.find(target, source)
         if found is None:
             known = ", ".join(self._tree.frames) or "none"
-            raise Refusal(
-                Status.TF_ERROR,
-                f"no transform from {source!r} to {target!r}; tf2 is not there and static_transforms knows the frames: {known}",
-            )
+            raise NoTransform(f"tf2 is not there and static_transforms knows the frames: {known}", may_come=False)
         return found
+
+    def anchor(self, base: str, source: str) -> str | None:
+        """See `Frames.anchor`: what never changes tells of no motion."""
+        return None
+
+    def listen(self, heard: Callable[[], None]) -> None:
+        """See `Frames.listen`: there is nothing to hear."""
 
 
 class TfFrames:
-    """tf2's buffer, polled from the worker's thread; the static transforms come first.
+    """What `/tf` and `/tf_static` said; the static transforms of the parameters come first.
 
     Attributes:
         source: see `Frames`.
     """
 
-    source = "static_transforms first, then tf2"
+    source = "static_transforms first, then /tf and /tf_static"
 
-    def __init__(self, buffer: Any, static: StaticFrames, *, poll_s: float = 0.01) -> None:
-        """Wrap a buffer.
+    def __init__(self, static: StaticFrames) -> None:
+        """Start without any transform but the parameters'.
 
         Args:
-            buffer: a `tf2_ros.Buffer`, or anything with its `lookup_transform(target, source, time)`.
             static: transforms from parameters.
-            poll_s: pause between two looks [s].
         """
-        self._buffer = buffer
         self._static = static
-        self._poll_s = poll_s
+        self._history = TransformHistory()
+        self._heard: list[Callable[[], None]] = []
 
-    def lookup(self, target: str, source: str, stamp: Time, timeout_s: float, should_stop: Callable[[], bool]) -> Array:
-        """See `Frames.lookup`."""
-        found = self._static.find(target, source)
-        if found is not None:
-            return found
-        deadline = time.monotonic() + timeout_s
-        while True:
-            try:
-                t = self._buffer.lookup_transform(clean_name(target), clean_name(source), RosTime.from_msg(stamp)).transform
-                p, r = t.translation, t.rotation
-                return pose_to_matrix([p.x, p.y, p.z, r.x, r.y, r.z, r.w])
-            except Exception as error:  # tf2's own exceptions share no base with anything importable here
-                if time.monotonic() >= deadline or should_stop():
-                    raise Refusal(Status.TF_ERROR, f"no transform from {source!r} to {target!r} within {timeout_s:g} s: {error}") from None
-            time.sleep(self._poll_s)
+    def take(self, msg: Any, *, static: bool) -> None:
+        """Take in a `tf2_msgs/TFMessage`; a transform that is none is left out, as tf2 does it."""
+        for stamped in msg.transforms:
+            t, r = stamped.transform.translation, stamped.transform.rotation
+            with contextlib.suppress(ProblemError):
+                pose = (t.x, t.y, t.z, r.x, r.y, r.z, r.w)
+                self._history.add(stamped.header.frame_id, stamped.child_frame_id, pose, stamp_s(stamped.header.stamp), static=static)
+        for heard in self._heard:
+            heard()
+
+    def forget_moving(self) -> None:
+        """Forget what moves: simulated time was set back, and what came from its future would make everything newer look old."""
+        self._history.forget_moving()
+
+    def known(self) -> list[str]:
+        """Return the names of the frames that the topics told of, sorted."""
+        return self._history.frames
+
+    def find(self, target: str, source: str, stamp_s: float = 0.0) -> Array:
+        """See `Frames.find`."""
+        with contextlib.suppress(NoTransform):
+            return self._static.find(target, source)
+        return self._history.find(target, source, stamp_s)
+
+    def anchor(self, base: str, source: str) -> str | None:
+        """See `Frames.anchor`."""
+        with contextlib.suppress(NoTransform):
+            self._static.find(base, source)
+            return self._history.anchor(base, base)  # fastened to the base by a parameter
+        return self._history.anchor(base, source)
+
+    def listen(self, heard: Callable[[], None]) -> None:
+        """See `Frames.listen`."""
+        self._heard.append(heard)
+
+
+def lookup(frames: Frames, target: str, source: str, stamp: Time, timeout_s: float, should_stop: Callable[[], bool]) -> Array:
+    """Return T_target_source (4, 4) at a stamp, waited for.
+
+    Args:
+        frames: where frames are.
+        target: frame of the result.
+        source: frame of the data.
+        stamp: time of the data; zero for the newest known.
+        timeout_s: how long to wait for a transform that has not arrived yet.
+        should_stop: ends the wait early.
+
+    Raises:
+        Refusal: TF_ERROR naming both frames.
+    """
+    at_s = stamp_s(stamp)
+    return waited(lambda: frames.find(target, source, at_s), clean_name(target), clean_name(source), timeout_s, should_stop)
+
+
+def waited(find: Callable[[], Found], target: str, source: str, timeout_s: float, should_stop: Callable[[], bool]) -> Found:
+    """Return what `find` finds, waited for.
+
+    Args:
+        find: raises `NoTransform` where it does not find anything yet.
+        target: frame of the result, for the sentence.
+        source: frame of the data, for the sentence.
+        timeout_s: how long to wait.
+        should_stop: ends the wait early.
+
+    Raises:
+        Refusal: TF_ERROR naming both frames.
+    """
+    deadline = time.monotonic() + timeout_s
+    while True:
+        try:
+            return find()
+        except NoTransform as error:
+            no_transform = f"no transform from {source!r} to {target!r}"
+            if not error.may_come:
+                raise Refusal(Status.TF_ERROR, f"{no_transform}; {error}") from None
+            if time.monotonic() >= deadline or should_stop():
+                raise Refusal(Status.TF_ERROR, f"{no_transform} within {timeout_s:g} s: {error}") from None
+        time.sleep(_POLL_S)
 
 
 def make_frames(node: Any, transforms: Sequence[str]) -> Frames:
-    """Return tf2's view where tf2_ros can be imported, otherwise the static one.
+    """Return what `/tf` says where its messages can be imported, otherwise the static view.
 
     Raises:
         ParameterError: see `StaticFrames`.
     """
     static = StaticFrames(transforms)
     try:
-        import tf2_ros  # type: ignore[import-not-found,unused-ignore]
+        from tf2_msgs.msg import TFMessage  # type: ignore[import-not-found,unused-ignore]
     except ImportError:
         return static
-    # A buffer that is given the node opens the service `tf2_frames` on it, one more name on the graph that nothing here needs. What
-    # else it would do with the node is done here: when simulated time jumps back, what came from its future is forgotten, for tf2
-    # would take everything newer for old.
-    buffer = tf2_ros.Buffer()
+    frames = TfFrames(static)
+    group = ReentrantCallbackGroup()
+    moving = QoSProfile(depth=_DEPTH, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.VOLATILE)
+    latched = QoSProfile(depth=_DEPTH, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    node.create_subscription(TFMessage, "/tf", lambda msg: frames.take(msg, static=False), moving, callback_group=group)
+    node.create_subscription(TFMessage, "/tf_static", lambda msg: frames.take(msg, static=True), latched, callback_group=group)
     back = JumpThreshold(min_forward=None, min_backward=Duration(seconds=-1), on_clock_change=True)
-    node.tf_jumps = node.get_clock().create_jump_callback(back, post_callback=lambda _: buffer.clear())
-    node.tf_listener = tf2_ros.TransformListener(buffer, node)  # the node keeps both alive
-    return TfFrames(buffer, static)
+    # The node keeps what it was given alive.
+    node.tf_jumps = node.get_clock().create_jump_callback(back, post_callback=lambda _: frames.forget_moving())
+    return frames

@@ -7,17 +7,15 @@ import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
-from std_msgs.msg import Header
-
 from lime_planner.core.errors import Refusal, SceneError
-from lime_planner.core.geometry import clean_name
 from lime_planner.core.parameters import NodeSettings
 from lime_planner.core.status import Status
 from lime_planner.core.types import Array
 from lime_planner.ros.inputs.frames import Frames
-from lime_planner.ros.inputs.latest import Inputs, Sample
+from lime_planner.ros.inputs.latest import Inputs, Sample, Target
+from lime_planner.ros.inputs.placement import Placements
 from lime_planner.ros.parameters import Snapshot
-from lime_planner.scene.from_clouds import CLOUDS, ArmFilter, Labels, belonging_together, scene_of_cloud
+from lime_planner.scene.from_clouds import CLOUDS, ArmFilter, Labels, belonging_together, scene_of_cloud, without_arm
 from lime_planner.scene.scene import Scene, merged
 
 
@@ -29,12 +27,13 @@ class _Key:
     labels: Labels
     padding_m: float
     arm: tuple[float, ...] | None
+    moved: bytes | None
 
 
 class SceneSource:
     """Makes scenes of the inputs and keeps the last ones."""
 
-    def __init__(self, inputs: Inputs, frames: Frames, planning_frame: str, arm_filter: ArmFilter) -> None:
+    def __init__(self, inputs: Inputs, frames: Frames, planning_frame: str, arm_filter: ArmFilter, *, fixed_frame: str = "") -> None:
         """Make a source.
 
         Args:
@@ -42,9 +41,10 @@ class SceneSource:
             frames: where their frames are.
             planning_frame: frame of the scenes.
             arm_filter: removes the arm's own points.
+            fixed_frame: the frame in which clouds stay while the base moves; empty for the planning frame.
         """
         self._inputs = inputs
-        self._frames = frames
+        self.placements = Placements(frames, planning_frame, fixed_frame)
         self._planning_frame = planning_frame
         self._arm_filter = arm_filter
         self._parts: dict[str, tuple[_Key, Scene]] = {}
@@ -61,6 +61,24 @@ class SceneSource:
         with self._lock:
             self._planning_frame, self._arm_filter = planning_frame, arm_filter
             self._parts, self._merged = {}, None
+            self.placements.use_planning_frame(planning_frame)
+
+    def arrived(self, name: str) -> None:
+        """Note where the newest message of an input was, while its transforms are known."""
+        sample = self._inputs.slots[name].newest
+        if sample is not None and sample.refusal is None:
+            self.placements.arrived(name, sample.number, sample.msg.header)
+
+    def goal(self, target: Target, snapshot: Snapshot, should_stop: Callable[[], bool]) -> Array:
+        """Return T_planning_tool (4, 4) of a target, where it is now.
+
+        Raises:
+            Refusal: TF_ERROR; STALE_INPUT, the base moved since its stamp and there is no fixed frame.
+        """
+        number = None if target.sample is None else target.sample.number
+        T_planning_data, T_now_then = self.placements.place("grasp_target", number, target.msg.header, snapshot.node, should_stop)
+        T = T_planning_data @ target.T_frame_tool
+        return T if T_now_then is None else T_now_then @ T
 
     def newest_stem_number(self) -> int:
         """Return a number that changes whenever a cloud with stems arrives."""
@@ -163,28 +181,25 @@ class SceneSource:
         """Return one cloud's scene: the same object again as long as cloud and settings are the same."""
         node = snapshot.node
         labels = Labels(node.label_field, node.leaf_labels, node.stem_labels, node.fruit_labels, node.ignored_labels, node.class_costs)
+        T_planning_data: Array | None = None
+        T_now_then: Array | None = None
+        if sample.msg.width * sample.msg.height:  # an empty cloud is nowhere
+            T_planning_data, T_now_then = self.placements.place(name, sample.number, sample.msg.header, node, should_stop)
         q = self._inputs.arm_at_clouds.at(name, sample.number)  # may be known better than at the last look
-        key = _Key(sample.number, labels, snapshot.plan.self_filter_padding_m, None if q is None else tuple(q))
+        moved = None if T_now_then is None else T_now_then.tobytes()
+        key = _Key(sample.number, labels, snapshot.plan.self_filter_padding_m, None if q is None else tuple(q), moved)
         kept = self._parts.get(name)
-        if kept is None or kept[0] != key:
-            kept = self._parts[name] = (key, self._checked_part(name, sample, key, q, snapshot, should_stop))
-        return kept[1]
-
-    def _checked_part(
-        self, name: str, sample: Sample, key: _Key, q: Array | None, snapshot: Snapshot, should_stop: Callable[[], bool]
-    ) -> Scene:
-        def transform(header: Header) -> Array | None:
-            frame = clean_name(header.frame_id)
-            if frame == self._planning_frame:
-                return None
-            return self._frames.lookup(self._planning_frame, frame, header.stamp, snapshot.node.tf_timeout_s, should_stop)
-
+        if kept is not None and kept[0] == key:
+            return kept[1]
         try:
-            scene = scene_of_cloud(sample.msg, name, key.labels, self._planning_frame, transform, between=lambda: _ask(should_stop))
-            return self._arm_filter(scene, q, key.padding_m)
+            frame, between = self._planning_frame, lambda: _ask(should_stop)
+            scene = scene_of_cloud(sample.msg, name, labels, frame, lambda _: T_planning_data, between=between)
+            part = without_arm(scene, self._arm_filter, q, key.padding_m, T_now_then)
         except SceneError as error:
             self._inputs.slots[name].reject(sample, str(error))
             raise Refusal(Status.BAD_INPUT, str(error)) from None
+        self._parts[name] = (key, part)
+        return part
 
 
 def _ask(should_stop: Callable[[], bool]) -> None:

@@ -81,7 +81,7 @@ class PlannerNode(Node):
         self.inputs = Inputs(self._ros_now_s, self._warn)
         self.frames = make_frames(self, settings.node.static_transforms)
         self.get_logger().info(f"frames from {self.frames.source}")
-        self.source = SceneSource(self.inputs, self.frames, "", unfiltered)  # of no arm yet
+        self.source = SceneSource(self.inputs, self.frames, "", unfiltered, fixed_frame=settings.node.fixed_frame)  # of no arm yet
         self._open_outputs()
         self.board = StatusBoard(self.get_name(), self._now, self._status.publish)
         self.execution = Execution(
@@ -194,11 +194,13 @@ class PlannerNode(Node):
 
     def _on_cloud(self, name: str, msg: PointCloud2) -> None:
         self.inputs.on_cloud(name, msg)
+        self.source.arrived(name)
         if name != "leaf_cloud":
             self.watch.notice()
 
     def _on_target(self, msg: PoseStamped) -> None:
         if self.inputs.on_target(msg):
+            self.source.arrived("grasp_target")
             self._target.publish(msg)
 
     def _on_joint_state(self, msg: JointState) -> None:

@@ -13,7 +13,7 @@ import numpy as np
 from geometry_msgs.msg import PoseStamped
 
 from lime_planner.core.errors import LimePlannerError, Refusal
-from lime_planner.core.geometry import clean_name, matrix_to_pose
+from lime_planner.core.geometry import matrix_to_pose
 from lime_planner.core.status import Status
 from lime_planner.core.types import Array
 from lime_planner.pipeline.plan_record import PlanRecord
@@ -49,7 +49,6 @@ class Requests:
         self._loader = parts.loader
         self._parameters = parts.parameters
         self._inputs = parts.inputs
-        self._frames = parts.frames
         self._source = parts.source
         self._execution = parts.execution
         self._watch = parts.watch
@@ -240,13 +239,8 @@ class Requests:
 
     def _planned(self, ticket: Ticket, loaded: Loaded, snapshot: Snapshot, target: Target, left_s: Left) -> PlannedRequest:
         began_s = time.monotonic()
-        header = target.msg.header
         arm = self._arm_at_start(snapshot)
-        frame = clean_name(header.frame_id)
-        T_base_tool = target.T_frame_tool
-        if frame != loaded.robot.planning_frame:
-            T = self._frames.lookup(loaded.robot.planning_frame, frame, header.stamp, snapshot.node.tf_timeout_s, ticket.should_stop)
-            T_base_tool = T @ T_base_tool
+        T_base_tool = self._source.goal(target, snapshot, ticket.should_stop)
         number = self._source.newest_stem_number()
         scene = self._source.scene(snapshot, ticket.should_stop)
         decode_s = time.monotonic() - began_s

@@ -16,6 +16,7 @@ from lime_planner.core.geometry import clean_name
 from lime_planner.core.status import Status
 from lime_planner.doctor.findings import Finding, Level, fault, ok, warning
 from lime_planner.ros.inputs.clouds import decode_cloud
+from lime_planner.ros.inputs.frames import lookup
 from lime_planner.ros.inputs.latest import Sample
 from lime_planner.ros.parameters import Snapshot
 from lime_planner.ros.qos import is_best_effort, is_latched
@@ -180,10 +181,10 @@ def _clock(live: Live) -> Finding:
 def _transforms(live: Live) -> Finding:
     count = len(live.snapshot.node.static_transforms)
     given = f"static_transforms names {count}" if count else "static_transforms is empty"
-    if importlib.util.find_spec("tf2_ros") is not None:
-        return ok("transforms", f"tf2 is installed; {given}")
+    if importlib.util.find_spec("tf2_msgs") is not None:
+        return ok("transforms", f"/tf and /tf_static are read; {given}")
     frame = live.arm.planning_frame if live.arm is not None else "the planning frame"
-    return ok("transforms", f"without tf2 clouds and targets come in {frame!r}; {given}")
+    return ok("transforms", f"without tf2_msgs clouds and targets come in {frame!r}; {given}")
 
 
 def _joint_states(live: Live) -> Finding:
@@ -282,7 +283,7 @@ def _look_up(live: Live, sample: Sample) -> None:
     header = sample.msg.header
     frame = clean_name(header.frame_id)
     if live.arm is not None and frame != live.arm.planning_frame:
-        live.listener.frames.lookup(live.arm.planning_frame, frame, header.stamp, live.snapshot.node.tf_timeout_s, lambda: False)
+        lookup(live.listener.frames, live.arm.planning_frame, frame, header.stamp, live.snapshot.node.tf_timeout_s, lambda: False)
 
 
 def _target(live: Live) -> Finding:

@@ -6,11 +6,9 @@ import dataclasses
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
-import numpy as np
-
 from lime_planner.collision.arm_filter import make_arm_filter
 from lime_planner.core.errors import Refusal
-from lime_planner.core.geometry import clean_name, matrix_to_pose
+from lime_planner.core.geometry import matrix_to_pose
 from lime_planner.robot.model import Robot
 from lime_planner.ros.inputs.scene_source import SceneSource
 from lime_planner.ros.parameters import Snapshot
@@ -63,7 +61,7 @@ def record(listener: Listener, snapshot: Snapshot, robot: Robot, *, wait_s: floa
     inputs, node = listener.inputs, snapshot.node
     heard: list[str] = []
     missing: list[str] = []
-    source = SceneSource(inputs, listener.frames, robot.planning_frame, make_arm_filter(robot))
+    source = SceneSource(inputs, listener.frames, robot.planning_frame, make_arm_filter(robot), fixed_frame=node.fixed_frame)
     try:
         scene = source.scene(snapshot, lambda: False)
     except Refusal as refusal:
@@ -72,9 +70,7 @@ def record(listener: Listener, snapshot: Snapshot, robot: Robot, *, wait_s: floa
     start = None
     try:
         target = inputs.target(node.max_target_age_s, node.max_clock_skew_s)
-        scene = dataclasses.replace(
-            scene, target_pose=_in_planning_frame(listener, snapshot, robot, target.T_frame_tool, target.msg.header)
-        )
+        scene = dataclasses.replace(scene, target_pose=matrix_to_pose(source.goal(target, snapshot, lambda: False)))
         heard.append(f"{listener.topics['grasp_target']}: {_age(listener, 'grasp_target')}")
     except Refusal as refusal:
         missing.append(_told(refusal, partial, listener, wait_s))
@@ -91,13 +87,6 @@ def _told(refusal: Refusal, partial: bool, listener: Listener, wait_s: float) ->
     if not partial:
         raise Refusal(refusal.status, f"{sentence} (--partial records without)") from None
     return refusal.status.message(sentence)
-
-
-def _in_planning_frame(listener: Listener, snapshot: Snapshot, robot: Robot, T_frame_tool: np.ndarray, header: object) -> np.ndarray:
-    frame, stamp = clean_name(header.frame_id), header.stamp  # type: ignore[attr-defined]
-    if frame != robot.planning_frame:
-        T_frame_tool = listener.frames.lookup(robot.planning_frame, frame, stamp, snapshot.node.tf_timeout_s, lambda: False) @ T_frame_tool
-    return matrix_to_pose(T_frame_tool)
 
 
 def _waiting(listener: Listener) -> list[str]:

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import math
 import sys
+import threading
 import time
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,13 +15,13 @@ from builtin_interfaces.msg import Time
 from geometry_msgs.msg import PoseStamped
 from rclpy.clock import ClockType, ROSClock
 from rclpy.time import Time as RosTime
-from ros_fakes import JOINTS, never, refusal_of, stamped
+from ros_fakes import JOINTS, never, refusal_of, stamped, tf_message
 from sensor_msgs.msg import JointState
 
 from lime_planner.core.errors import ParameterError
 from lime_planner.core.status import Status
 from lime_planner.ros.convert import to_pose
-from lime_planner.ros.inputs.frames import StaticFrames, TfFrames, make_frames
+from lime_planner.ros.inputs.frames import StaticFrames, TfFrames, lookup, make_frames
 from lime_planner.ros.inputs.joint_states import ArmState, JointHistory
 from lime_planner.ros.inputs.latest import Inputs
 
@@ -187,10 +189,10 @@ class TestJoints:
 class TestFrames:
     def test_static_chains_both_ways(self) -> None:
         frames = StaticFrames(["base mast 0 0 1 0 0 0 1", "mast camera 0.5 0 0 0 0 1 0"])
-        T = frames.lookup("base", "/camera", Time(), 0.0, never)
+        T = lookup(frames, "base", "/camera", Time(), 0.0, never)
         assert np.allclose(T @ [1.0, 0.0, 0.0, 1.0], [-0.5, 0.0, 1.0, 1.0])
-        assert np.allclose(frames.lookup("camera", "base", Time(), 0.0, never) @ T, np.eye(4))
-        status, sentence = refusal_of(lambda: frames.lookup("base", "moon", Time(), 0.0, never))
+        assert np.allclose(lookup(frames, "camera", "base", Time(), 0.0, never) @ T, np.eye(4))
+        status, sentence = refusal_of(lambda: lookup(frames, "base", "moon", Time(), 0.0, never))
         assert status is Status.TF_ERROR
         assert "'moon'" in sentence
         assert "'base'" in sentence
@@ -204,55 +206,45 @@ class TestFrames:
             StaticFrames([text])
 
     def test_tf_waits_for_a_transform_that_is_late(self) -> None:
-        asked: list[int] = []
-
-        class Buffer:
-            def lookup_transform(self, target: str, source: str, stamp: object) -> object:
-                asked.append(1)
-                if len(asked) < 4:
-                    raise LookupError("extrapolation into the future")
-                transform = SimpleNamespace(
-                    translation=SimpleNamespace(x=1.0, y=2.0, z=3.0), rotation=SimpleNamespace(x=0.0, y=0.0, z=0.0, w=1.0)
-                )
-                return SimpleNamespace(transform=transform)
-
-        frames = TfFrames(Buffer(), StaticFrames(["base fixed 0 0 7 0 0 0 1"]), poll_s=0.001)
-        assert frames.lookup("base", "fixed", Time(), 0.0, never)[2, 3] == 7.0
-        assert not asked
-        status, sentence = refusal_of(lambda: frames.lookup("base", "camera", Time(), 0.0, never))
+        frames = TfFrames(StaticFrames(["base fixed 0 0 7 0 0 0 1"]))
+        frames.take(tf_message("base", "camera", 1.0, 2.0), static=False)
+        assert lookup(frames, "base", "fixed", Time(), 0.0, never)[2, 3] == 7.0
+        status, sentence = refusal_of(lambda: lookup(frames, "base", "/camera", Time(sec=3), 0.05, never))
         assert status is Status.TF_ERROR
-        assert "extrapolation" in sentence
-        assert frames.lookup("base", "camera", Time(sec=3), 1.0, never)[0, 3] == 1.0
+        assert sentence == "no transform from 'camera' to 'base' within 0.05 s: 'camera' in 'base' is known up to 1.000 s before the stamp"
+        later = threading.Timer(0.1, lambda: frames.take(tf_message("base", "camera", 3.0, 4.0), static=False))
+        later.start()
+        assert lookup(frames, "base", "camera", Time(sec=3), 5.0, never)[0, 3] == pytest.approx(2.0)
+        later.join()
+        began_s = time.monotonic()
+        assert refusal_of(lambda: lookup(frames, "base", "camera", Time(sec=1), 5.0, never))[0] is Status.TF_ERROR
+        assert time.monotonic() - began_s < 1.0, "what lies before the history will not come"
 
-    def test_without_tf2_the_parameters_are_the_source(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        monkeypatch.setitem(sys.modules, "tf2_ros", None)
+    def test_without_the_messages_the_parameters_are_the_source(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.setitem(sys.modules, "tf2_msgs.msg", None)
         frames = make_frames(None, ["base mast 0 0 1 0 0 0 1"])
         assert isinstance(frames, StaticFrames)
-        assert frames.source == "static_transforms alone (1 given): tf2_ros cannot be imported"
+        assert frames.source == "static_transforms alone (1 given): tf2_msgs cannot be imported"
 
-    def test_with_tf2_the_graph_sees_no_service_more(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        """tf2's buffer serves `tf2_frames` on a node that it is given, which no permission covers."""
-        cleared: list[int] = []
-        heard: list[object] = []
-
-        class Buffer:
-            def __init__(self, cache_time: object = None, node: object = None) -> None:
-                assert node is None
-
-            def clear(self) -> None:
-                cleared.append(1)
-
+    def test_the_two_topics_are_read_and_a_clock_that_is_set_back_forgets(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        heard: dict[str, Any] = {}
         clock = ROSClock()
-        node = SimpleNamespace(get_clock=lambda: clock)
-        tf2_ros = SimpleNamespace(Buffer=Buffer, TransformListener=lambda buffer, node: heard.append((buffer, node)) or "listener")
-        monkeypatch.setitem(sys.modules, "tf2_ros", tf2_ros)
-        frames = make_frames(node, ["base mast 0 0 1 0 0 0 1"])
+
+        def subscribe(kind: object, topic: str, callback: Any, profile: Any, *, callback_group: object) -> None:
+            heard[topic] = (callback, profile.durability.name)
+
+        node = SimpleNamespace(get_clock=lambda: clock, create_subscription=subscribe)
+        monkeypatch.setitem(sys.modules, "tf2_msgs", SimpleNamespace())
+        monkeypatch.setitem(sys.modules, "tf2_msgs.msg", SimpleNamespace(TFMessage=object))
+        frames = make_frames(node, [])
         assert isinstance(frames, TfFrames)
-        assert frames.source == "static_transforms first, then tf2"
-        assert len(heard) == 1 and node.tf_listener == "listener"
+        assert {topic: durability for topic, (_, durability) in heard.items()} == {"/tf": "VOLATILE", "/tf_static": "TRANSIENT_LOCAL"}
         # A recording that is played again: what it told the first time lies in its future.
         clock._set_ros_time_is_active(True)
-        del cleared[:]
-        for second, times in ((100, 0), (101, 0), (1, 1), (2, 1)):
+        for second, known in ((100, True), (101, True), (1, False), (2, False)):
             clock.set_ros_time_override(RosTime(seconds=second, clock_type=ClockType.ROS_TIME))
-            assert len(cleared) == times, second
+            if second == 100:
+                heard["/tf"][0](tf_message("base", "camera", 1.0, 100.0))
+                heard["/tf_static"][0](tf_message("camera", "lens", 0.5, 0.0))
+            assert ("base" in frames.known()) is known, second
+        assert frames.find("camera", "lens")[0, 3] == 0.5
