@@ -213,10 +213,14 @@ def _provenance(args: argparse.Namespace, target: Any) -> dict[str, Any]:
 
 def _report(result: PlanResult, scene: Scene, robot: Robot, target: Any, args: argparse.Namespace) -> int:
     from lime_planner.cli.json_output import emit_json, is_stdout
+    from lime_planner.core.geometry import quaternion_doubt
     from lime_planner.core.status import Status
-    from lime_planner.output.console import print_plans
+    from lime_planner.output.console import print_plans, warn
 
     figures = result.figures()
+    figures["warnings"] += [sentence for sentence in (quaternion_doubt(target),) if sentence]
+    for sentence in figures["warnings"]:
+        warn(sentence)
     quiet = is_stdout(args.json)
     if args.json is not None:
         file = args.json

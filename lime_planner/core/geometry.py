@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
@@ -33,6 +35,16 @@ def pose_to_matrix(pose: npt.ArrayLike) -> Array:
     matrix[:3, :3] = Rotation.from_quat(values[3:] / largest).as_matrix()
     matrix[:3, 3] = values[:3]
     return matrix
+
+
+def quaternion_doubt(pose: npt.ArrayLike) -> str:
+    """Return a sentence where the quaternion of x y z qx qy qz qw is far from unit length, as no rounding makes it; else an empty text."""
+    values = np.asarray(pose, dtype=np.float64).reshape(-1)[3:]
+    length = math.hypot(*values)
+    if not math.isfinite(length) or abs(length - 1.0) <= 0.02:
+        return ""
+    numbers = " ".join(f"{value:g}" for value in values)
+    return f"the quaternion {numbers} has the length {length:.3g}, not 1: are its numbers in the order x y z w?"
 
 
 def matrix_to_pose(T: npt.ArrayLike) -> Array:

@@ -104,6 +104,7 @@ class SavedPlan:
             T_base_tool=None if self.target is None else pose_to_matrix(self.target),
             q_start=self.q_start,
             parameters=self.parameters,
+            warnings=tuple(figures.get("warnings", ())),
             **numbers,
         )
 

@@ -22,6 +22,7 @@ from lime_planner.pipeline.context import Clock, ask, checked_deadline, checked_
 from lime_planner.pipeline.figures import path_figures, sample_path
 from lime_planner.pipeline.goals import Goals, examine_start, find_goals
 from lime_planner.pipeline.obstacles import Obstacles, prepare, stem_checker
+from lime_planner.pipeline.plausibility import doubts_about
 from lime_planner.pipeline.result import PlanResult, set_parameters
 from lime_planner.pipeline.search import search
 from lime_planner.planning.planner import Outcome, load_planner
@@ -135,6 +136,7 @@ class Pipeline:
                 T_base_tool=T,
                 q_start=q,
                 parameters=set_parameters(settings, self.robot),
+                warnings=doubts_about(scene, self.robot, T, q),
                 **figures,
             )
 
@@ -160,7 +162,7 @@ class Pipeline:
         sentence = (
             f"{len(found.path)} waypoints over {figures['path_length_rad']:.2f} rad, {figures['leaf_contact_rad']:.3f} rad of it among "
             f"leaves, stems at least {1e3 * figures['min_stem_clearance_m']:.1f} mm away, "
-            f"{figures['trajectory'].duration_s:.1f} s of motion, planned in {clock.elapsed():.2f} s{_unseen(scene, obstacles)}"
+            f"{figures['trajectory'].duration_s:.1f} s of motion, planned in {clock.elapsed():.2f} s"
         )
         return outcome(Status.SUCCEEDED, sentence)
 
@@ -314,14 +316,3 @@ class Pipeline:
 
     def _obstacles_of(self, scene: Scene, T_base_tool: Array | None, settings: Settings, should_stop: Callable[[], bool]) -> Obstacles:
         return self.obstacles(scene, None if T_base_tool is None else T_base_tool[:3, 3], settings, should_stop)
-
-
-def _unseen(scene: Scene, obstacles: Obstacles) -> str:
-    """Say that nothing of a scene was in the way because nothing of it is near: a scan in millimetres is the usual reason."""
-    if not scene.n_points or len(obstacles.hard) or len(obstacles.leaves):
-        return ""
-    parts = (scene.leaf_points, scene.stem_points, scene.fruit_points)
-    nearest_m = min(float(np.linalg.norm(points, axis=1).min()) for points in parts if len(points))
-    return (
-        f"; but none of the scene's {scene.n_points} points is within reach, the nearest is {nearest_m:.1f} m away: is the scene in metres?"
-    )

@@ -76,6 +76,7 @@ class PlanResult:
         T_base_tool: the target, (4, 4).
         q_start: (n,) configuration that was planned from [rad].
         parameters: what it was made with, but for the defaults (see `set_parameters`).
+        warnings: sentences about what it was asked for that is hardly meant (see `lime_planner.pipeline.plausibility`).
     """
 
     status: Status
@@ -104,6 +105,7 @@ class PlanResult:
     T_base_tool: Array | None = None
     q_start: Array | None = None
     parameters: Mapping[str, Any] = field(default_factory=dict)
+    warnings: tuple[str, ...] = ()
 
     @property
     def succeeded(self) -> bool:
@@ -164,6 +166,7 @@ class PlanResult:
         """Everything but the tool path as plain Python numbers, lists and dictionaries, ready for JSON; NaN becomes None."""
         values: dict[str, Any] = {"status": self.status.name, "message": self.message, "planner": self.planner, "seed": int(self.seed)}
         values["cost_metric"] = self.cost_metric
+        values["warnings"] = list(self.warnings)
         for name in ("iterations", "n_collision_nodes"):
             values[name] = int(getattr(self, name))
         for name in NUMBERS:

@@ -200,10 +200,11 @@ def test_a_scene_out_of_reach_is_said_to_be() -> None:
     scene = near.placed(1000.0, (0.0, 0.0, 0.0))
     result = plan(scene, pose_to_matrix(near.target_pose))
     assert result.status is Status.SUCCEEDED
-    assert f"none of the scene's {scene.n_points} points is within reach, the nearest is " in result.message
-    assert result.message.endswith("m away: is the scene in metres?")
-    assert "within reach" not in plan(near, pose_to_matrix(near.target_pose)).message
-    assert "within reach" not in plan(scene_of(), goal(0.3)).message
+    (warning,) = result.warnings
+    assert warning.startswith(f"none of the scene's {scene.n_points} points is within the arm's reach of ")
+    assert warning.endswith(": is that in millimetres?") and result.figures()["warnings"] == [warning]
+    assert plan(near, pose_to_matrix(near.target_pose)).warnings == ()
+    assert plan(scene_of(), goal(0.3)).warnings == ()
 
 
 def test_leaf_budget() -> None:
