@@ -10,7 +10,6 @@ import contextlib
 import errno
 import importlib
 import os
-import re
 import sys
 import traceback
 from collections.abc import Callable, Sequence
@@ -19,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from lime_planner import __version__
+from lime_planner.cli.parser import Parser, sentence
 from lime_planner.core.atomic_files import check_writable
 from lime_planner.core.cache_folder import cache_root
 from lime_planner.core.errors import LimePlannerError, Refusal, UsageError
@@ -82,7 +82,7 @@ _EXTRAS = {
     "rosbags": "bags",
     "shtab": "completion",
     "viser": "viewer",
-    "imageio": "viewer",
+    "imageio": "video",
 }
 
 #: How standard output refuses what is printed: the disk or the quota is full, the device or the descriptor bad.
@@ -102,22 +102,6 @@ A command's own help: lime-planner plan --help. Completion in this shell:
   source <(lime-planner completion bash)
 What goes wrong is one line on standard error; --debug adds the traceback.
 """
-
-
-class _Formatter(argparse.RawDescriptionHelpFormatter):
-    """Help within 80 columns."""
-
-    def __init__(self, prog: str) -> None:
-        super().__init__(prog, max_help_position=26, width=80)
-        self._action_max_length = 14  # argparse forgets that the names of commands are indented
-
-
-class _Parser(argparse.ArgumentParser):
-    """A parser that takes -1e-05 for a number, not for an option."""
-
-    def __init__(self, **kwargs: Any) -> None:
-        super().__init__(formatter_class=_Formatter, **kwargs)
-        self._negative_number_matcher = re.compile(r"^-(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?$")
 
 
 def _exists(command: Command) -> bool:
@@ -144,7 +128,7 @@ def build_parser(arguments: Sequence[str], *, everything: bool = False) -> argpa
         everything: import all commands.
     """
     words = tuple(word for word in arguments if not word.startswith("-"))
-    parser = _Parser(
+    parser = Parser(
         prog="lime-planner",
         description="Plan the reach of a harvesting arm to a fruit inside a plant:\naround its stems and through as few leaves as it must.",
         epilog=_EXAMPLES,
@@ -157,10 +141,10 @@ def build_parser(arguments: Sequence[str], *, everything: bool = False) -> argpa
         if len(command.words) == 2:
             group = command.words[0]
             if group not in groups:
-                own = top.add_parser(group, help=GROUPS[group], description=GROUPS[group].capitalize() + ".")
+                own = top.add_parser(group, help=GROUPS[group], description=sentence(GROUPS[group]))
                 groups[group] = own.add_subparsers(title="commands", metavar="COMMAND", required=True)
             place = groups[group]
-        leaf = place.add_parser(command.words[-1], help=command.summary, description=command.summary.capitalize() + ".")
+        leaf = place.add_parser(command.words[-1], help=command.summary, description=sentence(command.summary))
         if everything or words[: len(command.words)] == command.words:
             _fill(leaf, command)
     return parser

@@ -318,6 +318,7 @@ def parse_assignment(text: str) -> tuple[str, Any]:
     name, sep, value = text.partition("=")
     if not sep:
         raise ParameterError(f"expected NAME=VALUE, got {text!r}")
+    name = name.strip().replace("-", "_")  # as options are spelt
     parameter = PARAMETERS.get(name.strip()) or NODE_PARAMETERS.get(name.strip())
     parsed: Any
     try:

@@ -197,7 +197,7 @@ class NodeBackend:
         except Refusal as refusal:
             topics = " and ".join(parts.node.resolve_topic_name(name) for name in ("leaf_cloud", "stem_cloud"))
             with self._lock:
-                self._missing = f"**Nothing to show yet.** {str(refusal).capitalize()}. Publish point clouds on {topics}."
+                self._missing = f"**Nothing to show yet.** {str(refusal)[:1].upper()}{str(refusal)[1:]}. Publish point clouds on {topics}."
             return
         with self._lock:
             self._scene, self._scene_number, self._missing = scene, number, ""
