@@ -1,9 +1,9 @@
 # lime_planner: `make demo` and `make test` set everything up themselves. `make help` says what else there is.
 SHELL := /bin/bash
 .DEFAULT_GOAL := help
-.PHONY: help setup demo view test lint docs clean
+.PHONY: help setup setup-test setup-docs demo view test lint docs clean
 
-BIN := $(CURDIR)/.venv/bin
+BIN := .venv/bin
 SCENE ?=
 DEMO_ARGS ?=
 VIEW_ARGS ?=
@@ -22,14 +22,20 @@ help:
 	@echo "make demo                   a simulated Kinova arm reaches a lime inside a plant; ends with a table and a picture in out/"
 	@echo "make demo SCENE=file.npz    the same for a scene of yours (also PLY, PCD); more options: DEMO_ARGS='--help'"
 	@echo "make view                   the same nodes with a 3-D page to look at and to steer them from (SCENE=..., VIEW_ARGS='--port 8090')"
-	@echo "make test                   ruff, mypy and all tests (some of them: PYTEST_ARGS='-k name')"
+	@echo "make test                   ruff, mypy and all tests, after installing what they need (some: PYTEST_ARGS='-k name')"
 	@echo "make lint                   ruff and mypy alone"
 	@echo "make docs                   build the documentation into site/; its first page is site/index.html"
-	@echo "make setup                  only what the others do first: system libraries, .venv, dependencies (PYTHON=... to choose one)"
+	@echo "make setup                  only what demo and view do first: system libraries, .venv, dependencies, compiling (PYTHON=... to choose one)"
 	@echo "make clean                  remove .venv, builds, caches and out/"
 
 setup:
 	@PYTHON='$(PYTHON)' scripts/setup.sh
+
+setup-test:
+	@PYTHON='$(PYTHON)' scripts/setup.sh test
+
+setup-docs:
+	@PYTHON='$(PYTHON)' scripts/setup.sh docs
 
 demo: setup
 	@$(BIN)/python -m lime_planner demo $(if $(SCENE),--scene '$(SCENE)') $(DEMO_ARGS)
@@ -37,7 +43,7 @@ demo: setup
 view: setup
 	@$(BIN)/python -m lime_planner view --nodes $(if $(SCENE),'$(SCENE)') $(VIEW_ARGS)
 
-lint: setup
+lint: setup-test
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check --quiet .
 	$(BIN)/mypy
@@ -47,7 +53,7 @@ test: lint
 	ROS_PYTHON_CHECK_FIELDS=1 $(BIN)/python -m pytest -m "not alone" -n 2 --dist loadfile --cov --cov-report=term:skip-covered $(PYTEST_ARGS)
 	ROS_PYTHON_CHECK_FIELDS=1 $(BIN)/python -m pytest -m alone $(PYTEST_ARGS)
 
-docs: setup
+docs: setup-docs
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
 	@echo "documentation: site/index.html"
 

@@ -39,8 +39,9 @@ EXTRAS_REQUIRE = {
     # Recordings (rosbag2, as sqlite3 or MCAP) without ROS; the completion of `lime-planner` in bash and zsh.
     "bags": ["rosbags>=0.11"],
     "completion": ["shtab>=1.7"],
-    # The 3-D page of `lime-planner view`, and videos of `lime-planner animate`.
-    "viewer": ["viser>=1.1", "imageio[ffmpeg]>=2.31"],
+    # The 3-D page of `lime-planner view`; `lime-planner animate` into .mp4 (.gif needs nothing more).
+    "viewer": ["viser>=1.1"],
+    "video": ["imageio[ffmpeg]>=2.31"],
     # launch_testing's pytest plugin breaks on pytest 9.
     "test": [
         "pytest>=7.4,<9",

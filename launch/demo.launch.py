@@ -5,18 +5,21 @@ ros2 service call /lime_planner/plan std_srvs/srv/Trigger
 """
 
 from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument, SetEnvironmentVariable
+from launch.actions import DeclareLaunchArgument, LogInfo, SetEnvironmentVariable
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
+from lime_planner.robot.builtin import demo_arm
+
 
 def generate_launch_description():
+    arm, why_not_the_default = demo_arm()
     arguments = [
         DeclareLaunchArgument("scene", default_value="", description="Scene file; empty: a generated plant."),
         DeclareLaunchArgument("seed", default_value="7", description="Seed of the plant."),
         DeclareLaunchArgument("density", default_value="medium", description="Foliage: sparse, medium or dense."),
-        DeclareLaunchArgument("robot", default_value="kinova_j2s6s200", description="kinova_j2s6s200 or kinova_j2n6s300."),
+        DeclareLaunchArgument("robot", default_value=arm, description="kinova_j2s6s200 or kinova_j2n6s300."),
         DeclareLaunchArgument("controller", default_value="jtc", description="What the mock arm imitates: jtc or kinova."),
     ]
     robot = ParameterValue(LaunchConfiguration("robot"), value_type=str)
@@ -32,4 +35,5 @@ def generate_launch_description():
         Node(package="lime_planner", executable="planner_node", parameters=[{"robot": robot, "controller": controller}], output="screen"),
     ]
     # The arm is a mock, but its topics have the real one's names: nothing of this may reach another machine.
-    return LaunchDescription([SetEnvironmentVariable("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST"), *arguments, *nodes])
+    said = [LogInfo(msg=why_not_the_default)] if why_not_the_default else []
+    return LaunchDescription([*said, SetEnvironmentVariable("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST"), *arguments, *nodes])

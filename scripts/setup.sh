@@ -1,6 +1,10 @@
 #!/usr/bin/env bash
-# Set everything up: system libraries, .venv in the project's root, dependencies, the package itself (editable).
+# Set everything up: system libraries, .venv in the project's root, dependencies, the package itself (editable), its kernels compiled.
 # Safe to call again at any time: it returns at once when nothing has changed. `make setup`, `make demo` and `make test` call it.
+#
+# setup.sh            what the planner, the demo and the 3-D page need
+# setup.sh test       and what the tests and the experiments need
+# setup.sh docs       and what the documentation needs
 #
 # PYTHON=/path/to/python3.12   use this interpreter
 # Where a ROS 2 Jazzy is sourced (ROS_DISTRO=jazzy), the venv sees its packages and no ROS wheels are installed.
@@ -11,6 +15,7 @@ cd "$root"
 venv=$root/.venv
 stamp=$venv/.setup-stamp
 partial=$venv/.setup-incomplete
+group=${1:-base}
 
 # The ROS wheels leave their library path to child processes; that of another environment must not reach this one's.
 if [[ -n ${_ROS_WHEELS_BOOTSTRAP_COMPLETE:-} ]]; then unset LD_LIBRARY_PATH _ROS_WHEELS_BOOTSTRAP_COMPLETE; fi
@@ -36,8 +41,16 @@ wanted=$(
 )
 right_version() { "$1" -c 'import sys; sys.exit(sys.version_info[:2] not in ((3, 11), (3, 12)))' >/dev/null 2>&1; }
 base_of() { "$1" -c 'import sys; print(sys.base_prefix)' 2>/dev/null; }
+case $group in
+  base) extras=bags,completion,viewer ;;
+  docs) extras=bags,completion,viewer,docs ;;
+  test) extras=bags,completion,viewer,video,experiments,cluster,bench,docs,test,colcon ;;
+  *) fail "what to set up is one of base, test, docs, not $group" ;;
+esac
 up_to_date() {
-  [[ -f $stamp && ! -e $partial && $(<"$stamp") == "$wanted" ]] && right_version "$venv/bin/python" || return 1
+  # The stamp holds what it was made for, and then the groups that are there; the tests' holds the others'.
+  [[ -f $stamp && ! -e $partial && $(head -n 3 "$stamp") == "$wanted" ]] && right_version "$venv/bin/python" || return 1
+  grep -qx -e "group: $group" -e "group: test" "$stamp" || return 1
   [[ -z ${PYTHON:-} || $(base_of "$venv/bin/python") == "$(base_of "$PYTHON")" ]]
 }
 
@@ -58,8 +71,9 @@ usable() {
 has_venv() { "$1" -c 'import ensurepip, venv' >/dev/null 2>&1; }
 find_python() {
   # The first usable one that can make virtual environments, else the first usable one.
-  local candidate second=
-  for candidate in ${PYTHON:-/usr/bin/python3 python3 python3.12 python3.11 /usr/bin/python3.12 /usr/bin/python3.11}; do
+  local candidate second= candidates=(/usr/bin/python3 python3 python3.12 python3.11 /usr/bin/python3.12 /usr/bin/python3.11)
+  [[ -z ${PYTHON:-} ]] || candidates=("$PYTHON")
+  for candidate in "${candidates[@]}"; do
     command -v "$candidate" >/dev/null && usable "$candidate" || continue
     candidate=$("$candidate" -c 'import sys; print(sys.executable)')
     if has_venv "$candidate"; then
@@ -121,7 +135,7 @@ fits() {
   # Complete, alive, in this folder, and with the view of the system's packages that the ROS mode needs.
   [[ ! -e $partial ]] && right_version "$venv/bin/python" && "$venv/bin/python" -m pip --version >/dev/null 2>&1 || return 1
   [[ $("$venv/bin/python" -c 'import sys; print(sys.prefix)') == "$venv" ]] || return 1
-  head -n 1 "$venv/bin/pip" 2>/dev/null | grep -qF "$venv/" || return 1
+  head -n 3 "$venv/bin/pip" 2>/dev/null | grep -qF "$venv/" || return 1 # in a folder with a space it is the second line
   local system=false
   [[ $ros == wheels ]] || system=true
   grep -qi "^include-system-site-packages = $system" "$venv/pyvenv.cfg" || return 1
@@ -142,12 +156,12 @@ fi
 : >"$partial"
 
 # --- Dependencies and the package --------------------------------------------------------------------------------------------
-extras=experiments,cluster,bench,bags,completion,viewer,docs,test,colcon
 log=$venv/setup.log
 : >"$log"
 install() {
   # Only what takes long is shown: the large downloads, and the unpacking.
-  "$venv/bin/python" -m pip --disable-pip-version-check install --progress-bar off "$@" 2>&1 | tee -a "$log" |
+  # Modules are compiled when they are first used: most never are, and they would take 0.3 GB.
+  "$venv/bin/python" -m pip --disable-pip-version-check install --progress-bar off --no-compile "$@" 2>&1 | tee -a "$log" |
     sed -unE -e 's/^ *Downloading ([^ ]*\/)?([A-Za-z0-9_]+)-[^ ]* (\([0-9]{2,}\.[0-9] MB\)).*/setup:   downloading \2 \3/p' \
       -e 's/^Installing collected packages: .*,.*/setup:   unpacking/p' && return
   tail -n 15 "$log" >&2
@@ -155,17 +169,31 @@ install() {
     "Without a network nothing can be downloaded; behind a mirror set PIP_INDEX_URL." \
     "Then run this again: what was downloaded is kept in pip's cache."
 }
+case $group in
+  test) size="about 0.7 GB to download, 2.6 GB on disk" ;;
+  *) size="about 0.5 GB to download, 1.9 GB on disk" ;;
+esac
 if [[ $ros == wheels ]]; then
   unset PYTHONPATH
-  say "installing the package and its dependencies (about 0.6 GB to download, 2.2 GB on disk)"
+  say "installing the package and its dependencies ($size)"
   install --editable ".[ros,$extras]"
 else
   say "ROS 2 Jazzy is sourced: its packages are used, no ROS wheels are installed"
-  say "installing the package and its other dependencies (about 0.5 GB to download, 2 GB on disk)"
+  say "installing the package and its other dependencies ($size at most)"
   install --no-deps --editable .
   "$venv/bin/python" scripts/requirements_beside_ros.py "$extras" >"$venv/requirements.txt"
   install --requirement "$venv/requirements.txt"
 fi
+
+# --- The kernels ---------------------------------------------------------------------------------------------------------------
+# Once for each version, into the user's cache; every later start, and other checkouts, find them there.
+say "compiling the planner (1 to 5 minutes the first time on this machine, seconds later)"
+"$venv/bin/python" "$root/scripts/compile_kernels.py" 2>>"$log" ||
+  say "the planner could not be compiled now ($log says why); its first plan will try again"
+
 rm -f "$partial"
-printf '%s\n' "$wanted" >"$stamp"
-say "done: $("$venv/bin/python" --version), ROS from $([[ $ros == wheels ]] && echo wheels || echo "$AMENT_PREFIX_PATH")"
+{
+  printf '%s\n' "$wanted" "group: $group"
+  if [[ $group == docs ]]; then echo "group: base"; fi
+} >"$stamp"
+say "done: $(du -sm "$venv" | awk '{printf "%.1f GB", $1 / 953.7}') in .venv; $("$venv/bin/python" --version), ROS from $([[ $ros == wheels ]] && echo wheels || echo "$AMENT_PREFIX_PATH")"

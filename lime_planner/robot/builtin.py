@@ -83,6 +83,19 @@ def read_builtin(name: str) -> tuple[str, Path]:
     raise RobotError(f"the model of {name} was not found: install it with `pip install example-robot-data` next to pinocchio (pip's `pin`)")
 
 
+def demo_arm() -> tuple[str, str]:
+    """Return the built-in arm to show things with, and why it is not the default one; empty where it is.
+
+    The default's meshes come with a package that ROS and Ubuntu do not have; the other arm needs no file from outside.
+    """
+    first, second = BUILTIN_ARMS
+    try:
+        read_builtin(first)
+    except RobotError as error:
+        return second, f"{error}; the demo takes {second}, which needs no meshes"
+    return first, ""
+
+
 def share_directories() -> Iterator[Path]:
     """Yield the folders in which `package://NAME/...` may be found, each with packages as its subfolders.
 

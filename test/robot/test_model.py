@@ -9,7 +9,7 @@ import pytest
 import yaml
 
 from lime_planner.core.errors import RobotError
-from lime_planner.robot.builtin import BUILTIN_ARMS, TOOL_RPY
+from lime_planner.robot.builtin import BUILTIN_ARMS, TOOL_RPY, demo_arm
 from lime_planner.robot.joint_limits import DEFAULT_ACCELERATION
 from lime_planner.robot.model import Robot, home, load_robot, robot_from_urdf, touches_itself
 
@@ -342,3 +342,12 @@ def test_wrong_configurations(two: Robot) -> None:
     assert two.limit_violation([9.0, 1.5]) is None
     assert not two.within_limits([0.0, 2.5])
     np.testing.assert_allclose(home(two), [0.0, 0.5])
+
+
+def test_the_demo_s_arm_where_the_default_s_meshes_are_not_installed(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert demo_arm() == ("kinova_j2s6s200", "")
+    monkeypatch.setattr("lime_planner.robot.builtin.share_directories", lambda: iter(()))
+    name, why = demo_arm()
+    assert name == "kinova_j2n6s300"
+    assert "pip install example-robot-data" in why and "takes kinova_j2n6s300, which needs no meshes" in why
+    assert load_robot(name).n == 6

@@ -17,6 +17,7 @@ from lime_planner.core.atomic_files import make_folder
 from lime_planner.core.errors import ParameterError
 from lime_planner.core.parameters import PARAMETERS, parse_assignment, settings_from
 from lime_planner.core.status import Status
+from lime_planner.robot.builtin import demo_arm
 from lime_planner.ros.demo.processes import Corner, DemoError, Processes
 from lime_planner.ros.demo.report import MOTION_TIMEOUT_S, Columns, Driven, report, verdict
 
@@ -73,10 +74,20 @@ class Clock:
         print(f"[{time.monotonic() - self._began:5.1f} s] {text}", flush=True)
 
 
+def choose_arm(values: dict[str, Any], clock: Clock) -> None:
+    """Where no arm is named and the default one's model is not installed, take the other built-in one, and say so."""
+    if "robot" not in values:
+        name, why = demo_arm()
+        if why:
+            clock.say(why)
+            values["robot"] = name
+
+
 def run(args: argparse.Namespace) -> int:
     """Run the demo; 0 only if the arm ended at the target."""
     clock = Clock()
     values = dict(parse_assignment(text) for text in args.assignments)
+    choose_arm(values, clock)
     planning = {name: value for name, value in values.items() if name in PARAMETERS}
     settings = settings_from(planning)
     if settings.robot == "topic":

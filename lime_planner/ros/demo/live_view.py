@@ -11,7 +11,7 @@ from pathlib import Path
 
 from lime_planner.core.errors import ParameterError
 from lime_planner.core.parameters import PARAMETERS, parse_assignment, settings_from
-from lime_planner.ros.demo.demo import DEFAULT_SEED, Clock, completed_scene, scene_of
+from lime_planner.ros.demo.demo import DEFAULT_SEED, Clock, choose_arm, completed_scene, scene_of
 from lime_planner.ros.demo.processes import Corner, DemoError, Processes
 from lime_planner.viewer.access import Access
 from lime_planner.viewer.serving import DEFAULT_PORT, announce, free_port, until_signal
@@ -30,7 +30,8 @@ def run_with_nodes(args: argparse.Namespace, access: Access) -> int:
     """
     if args.start is not None:
         raise ParameterError("--start: with --nodes the arm starts where the simulated arm stands")
-    values = dict(parse_assignment(text) for text in args.assignments)
+    values, clock = dict(parse_assignment(text) for text in args.assignments), Clock()
+    choose_arm(values, clock)
     planning = {name: value for name, value in values.items() if name in PARAMETERS}
     settings = settings_from(planning)
     if settings.robot == "topic":
@@ -40,7 +41,6 @@ def run_with_nodes(args: argparse.Namespace, access: Access) -> int:
     from lime_planner.ros.display.viewer_backend import TOKEN_VARIABLE
     from lime_planner.ros.model_loader import build
 
-    clock = Clock()
     port = free_port(access.host, DEFAULT_PORT if args.port is None else args.port, tries=1 if args.port else 20)
     clock.say("reading the scene" if args.what else "growing a lime plant")
     scene = scene_of(argparse.Namespace(**{**vars(args), "scene": args.what, "plant_seed": DEFAULT_SEED}))

@@ -13,10 +13,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from lime_planner.core.errors import LimePlannerError
+from lime_planner.core.errors import LimePlannerError, ParameterError
 from lime_planner.core.status import Status
 
 _END_TIMEOUT_S = 6.0
+_HIGHEST_DOMAIN = 232
 _PR_SET_PDEATHSIG = 1  # linux/prctl.h
 
 
@@ -33,8 +34,8 @@ class DemoError(LimePlannerError):
 class Corner:
     """A place in the ROS graph for one demo.
 
-    Domain and namespace both belong to this process alone, so that neither another demo nor a real arm on this machine can take
-    the demo's motion command for its own.
+    The namespace belongs to this process alone, and so does the domain unless ROS_DOMAIN_ID names one: neither another demo nor a
+    real arm on this machine can take the demo's motion command for its own.
     """
 
     domain: int
@@ -42,8 +43,15 @@ class Corner:
 
     @classmethod
     def own(cls) -> Corner:
-        """Choose by the process id; domains up to 101 are safe on every system."""
-        return cls(1 + os.getpid() % 101, f"/lime_demo_{os.getpid()}")
+        """Choose the domain that ROS_DOMAIN_ID names, else one by the process id; domains up to 101 are safe on every system.
+
+        Raises:
+            ParameterError: ROS_DOMAIN_ID is no whole number from 0 to 232.
+        """
+        text = os.environ.get("ROS_DOMAIN_ID", "").strip()
+        if text and not (text.isascii() and text.isdigit() and int(text) <= _HIGHEST_DOMAIN):
+            raise ParameterError(f"ROS_DOMAIN_ID is {text!r}; it must be a whole number from 0 to {_HIGHEST_DOMAIN}")
+        return cls(int(text) if text else 1 + os.getpid() % 101, f"/lime_demo_{os.getpid()}")
 
     def environment(self) -> dict[str, str]:
         """Return the environment of the demo's processes: this machine only."""

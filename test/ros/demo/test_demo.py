@@ -15,6 +15,7 @@ import pytest
 
 pytest.importorskip("rclpy", reason="the demo needs ROS 2 (extra `ros`, or a sourced installation)")
 
+from lime_planner.core.errors import ParameterError
 from lime_planner.ros.demo.processes import Corner, DemoError, Processes, ros_value
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -98,7 +99,13 @@ def test_a_node_that_ends_is_noticed(tmp_path: Path) -> None:
                 time.sleep(0.05)
 
 
-def test_corner_belongs_to_this_process() -> None:
+def test_corner_belongs_to_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("ROS_DOMAIN_ID", "207")
+    assert Corner.own().domain == 207
+    monkeypatch.setenv("ROS_DOMAIN_ID", "233")
+    with pytest.raises(ParameterError, match="ROS_DOMAIN_ID is '233'"):
+        Corner.own()
+    monkeypatch.delenv("ROS_DOMAIN_ID")
     corner = Corner.own()
     assert 1 <= corner.domain <= 101
     assert str(os.getpid()) in corner.namespace
