@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from lime_planner.core.planners import DEFAULT_PLANNER
-from lime_planner.experiments.runs.arguments import add_run_arguments, finite_number, make_folder
+from lime_planner.experiments.runs.arguments import add_run_arguments, finite_number, make_results_folder
 
 if TYPE_CHECKING:
     from benchmarks.planners.comparison import Comparison
@@ -83,7 +83,7 @@ def run_comparison(comparison: Comparison, args: argparse.Namespace) -> tuple[di
         if missing is not None:
             raise ModuleNotFoundError(f"{method} needs {missing}", name=missing.split(":")[0])
     print(comparison.statement(jobs), file=sys.stderr)
-    make_folder(args.out)
+    make_results_folder(args.out)
     return collect(comparison.plan(), args.out / "results.json", jobs=jobs, resume=args.resume, scheduler=args.scheduler)
 
 

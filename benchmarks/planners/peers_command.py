@@ -10,7 +10,7 @@ from typing import Any
 
 from benchmarks.planners.command import add_problem_arguments, finish, problems_of, run_comparison
 from lime_planner.core.planners import DEFAULT_PLANNER
-from lime_planner.experiments.runs.arguments import add_run_arguments, make_folder
+from lime_planner.experiments.runs.arguments import add_run_arguments, make_results_folder
 
 PEERS = ("ompl_rrt_star", "ompl_informed_rrt_star", "ompl_bit_star", "ompl_rrt_connect")
 SEARCH_PLANTS = ("sparse:901", "medium:901", "dense:902", "dense:903")  # never among those that are compared
@@ -95,7 +95,7 @@ def run_search(args: argparse.Namespace) -> int:
     methods = [m for m in _available(args.methods) if m in GRIDS]
     seeds, jobs = min(args.seeds, 3), args.jobs or default_jobs()
     path = args.out / "results.json"
-    make_folder(args.out)
+    make_results_folder(args.out)
 
     def search(settings: Mapping[str, Sequence[Mapping[str, Any]]], resume: bool) -> tuple[dict[str, Any], bool]:
         runs = [run for m in methods for run in search_runs(m, settings[m], problems, seeds, seconds, args.clock)]

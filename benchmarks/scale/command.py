@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from lime_planner.experiments.runs.arguments import add_run_arguments, finite_number, make_folder
+from lime_planner.experiments.runs.arguments import add_run_arguments, finite_number, make_results_folder
 
 if TYPE_CHECKING:
     from benchmarks.scale.cases import ScaleTask
@@ -88,7 +88,7 @@ def run(args: argparse.Namespace) -> int:
         key_of_record=lambda r: (r["axis"], r["value"], r["number"], r["problem"]),
         extra={"machine": machine()},
     )
-    make_folder(args.out)
+    make_results_folder(args.out)
     results, complete = collect(
         plan, args.out / "results.json", jobs=args.jobs or default_jobs(), resume=args.resume, scheduler=args.scheduler
     )

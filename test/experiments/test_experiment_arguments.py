@@ -13,18 +13,18 @@ from benchmarks.planners.comparison import Comparison
 from lime_planner.cli import main as cli
 from lime_planner.core.errors import ParameterError
 from lime_planner.experiments.problems import ProblemSpec
-from lime_planner.experiments.runs.arguments import make_folder
+from lime_planner.experiments.runs.arguments import make_results_folder
 
 
 def test_a_folder_that_cannot_be_is_named_with_the_reason(tmp_path: Path) -> None:
-    make_folder(tmp_path / "new" / "folder")
-    make_folder(tmp_path / "new" / "folder")
+    make_results_folder(tmp_path / "new" / "folder")
+    make_results_folder(tmp_path / "new" / "folder")
     assert list((tmp_path / "new" / "folder").iterdir()) == []
     file = tmp_path / "plant.npz"
     file.write_text("")
     for path, reason in ((file, "it is a file"), (file / "deeper", "Not a directory"), (Path("/proc/x"), "No such file")):
         with pytest.raises(ParameterError) as refused:
-            make_folder(path)
+            make_results_folder(path)
         assert str(refused.value).startswith(f"{path} cannot be the folder for results: {reason}")
 
 

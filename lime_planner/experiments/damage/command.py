@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from lime_planner.experiments.runs.arguments import add_run_arguments, make_folder
+from lime_planner.experiments.runs.arguments import add_run_arguments, make_results_folder
 
 if TYPE_CHECKING:
     from lime_planner.experiments.damage.trials import DamageOptions
@@ -38,7 +38,7 @@ def run_damage(
     from lime_planner.experiments.runs.parallel import default_jobs
     from lime_planner.experiments.runs.results_file import collect
 
-    make_folder(out)
+    make_results_folder(out)
     results, complete = collect(plan_of(options), out / "results.json", jobs=jobs or default_jobs(), scheduler=scheduler, resume=resume)
     write_text(out / "table.md", table_text(results))
     if figures and complete:

@@ -33,7 +33,7 @@ def add_run_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--no-figures", action="store_true", help="tables only")
 
 
-def make_folder(path: Path) -> None:
+def make_results_folder(path: Path) -> None:
     """Make the folder for results where there is none, and make sure that files can be written there, before hours of trials.
 
     Raises:

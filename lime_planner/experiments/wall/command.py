@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from lime_planner.core.errors import ParameterError
-from lime_planner.experiments.runs.arguments import add_run_arguments, make_folder
+from lime_planner.experiments.runs.arguments import add_run_arguments, make_results_folder
 
 if TYPE_CHECKING:
     from lime_planner.experiments.wall.trials import WallOptions
@@ -61,7 +61,7 @@ def run_wall(
 
     if importlib.util.find_spec("pingouin") is None:  # before the trials, not after them
         raise ModuleNotFoundError("the experiment's statistics need pingouin", name="pingouin")
-    make_folder(out)
+    make_results_folder(out)
     results, complete = collect(options, out / "results.json", jobs=jobs or default_jobs(), resume=resume, scheduler=scheduler)
     write_text(out / "table.md", table_text(results))
     write_text(out / "statistics.md", statistics_text(results))
