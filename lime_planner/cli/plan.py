@@ -159,6 +159,8 @@ def plan_in(scene: Scene, robot: Robot, settings: Settings, args: argparse.Names
     from lime_planner.output.console import working
     from lime_planner.pipeline import Pipeline
 
+    for note in scene.notes:
+        print(f"warning: {note}", file=sys.stderr)
     q_start = _start(args, robot, start)
     target = scene.target_pose if args.target is None else np.asarray(args.target)
     if target is None:

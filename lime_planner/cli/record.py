@@ -62,7 +62,12 @@ def run(args: argparse.Namespace) -> int:
 
         file = read_parameter_file(args.params)
         values, simulated = dict(file.values), file.use_sim_time
-    values.update(parse_assignment(text) for text in args.assignments)
+    own = [text for text in args.assignments if text.partition("=")[0] == "use_sim_time"]  # every ROS node has this parameter
+    for text in own:
+        if text not in ("use_sim_time=true", "use_sim_time=false"):
+            raise ParameterError(f"{text}: allowed are true and false")
+        simulated = text.endswith("true")
+    values.update(parse_assignment(text) for text in args.assignments if text not in own)
     settings = settings_from({name: value for name, value in values.items() if name in PARAMETERS})
     if args.bag is None and importlib.util.find_spec("rclpy") is None:
         raise ModuleNotFoundError("live topics need ROS 2", name="rclpy")
@@ -135,6 +140,6 @@ def _report(args: argparse.Namespace, scene: Scene, start: Start | None, heard: 
         print(f"{args.out}: {listed} points in {scene.frame_id!r}{f' ({dropped})' if dropped else ''}")
         if scene.counts.get("arm_not_removed"):
             print("the arm's own points are still in it: where the arm stood when a cloud was taken is not known")
-    for sentence in missing:
+    for sentence in (*missing, *(f"warning: {note}" for note in scene.notes)):
         print(sentence, file=sys.stderr)
     return 0

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import argparse
+import sys
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -29,6 +31,14 @@ examples:
   lime-planner scene tomatowur --out scans
   lime-planner plan scans/tomato_wur_h01p179.npz --offset 0.55 0 0.05 \\
       --target 0.45 0.05 0.4 0 0.7071 0 0.7071
+"""
+
+
+_INFO_EPILOG = """\
+examples:
+  lime-planner scene info plant.npz
+  lime-planner scene info plant.npz --json | jq .points
+  lime-planner scene info scan.ply --set leaf_labels=[3] --set stem_labels=[4]
 """
 
 
@@ -116,26 +126,38 @@ def add_info_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `scene info`."""
     from lime_planner.cli.json_output import add_json
 
-    parser.epilog = "examples:\n  lime-planner scene info plant.npz\n  lime-planner scene info plant.npz --json | jq .points"
+    parser.epilog = _INFO_EPILOG
     parser.add_argument("scene", metavar="SCENE", type=Path, help="scene file: .npz, .ply or .pcd")
-    parser.add_argument("--label-field", default="label", metavar="NAME", help="field of the label in PLY and PCD files (default label)")
+    parser.add_argument("--label-field", metavar="NAME", help="field of the label in PLY and PCD files (default label)")
+    meaning = "what labels mean: leaf_labels=[3]; repeatable"
+    parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE", dest="assignments", help=meaning)
     add_json(parser, "the same")
 
 
 def run_info(args: argparse.Namespace) -> int:
-    """Print the counts, the extent and the target."""
+    """Print the counts, the labels, the extent and the target."""
     import numpy as np
     from rich.table import Table
 
+    from lime_planner.cli.arguments import LABEL_PARAMETERS, label_options
     from lime_planner.cli.json_output import emit_json, is_stdout
+    from lime_planner.core.parameters import parse_assignment
     from lime_planner.output.console import console, working
     from lime_planner.scene.files import load_start
     from lime_planner.scene.scene import Scene
 
+    values = dict(parse_assignment(text) for text in args.assignments)
+    idle = [name for name in values if name not in LABEL_PARAMETERS]
+    if idle:
+        raise ParameterError(f"{', '.join(idle)}: only {', '.join(LABEL_PARAMETERS)} say what a file holds")
+    if args.label_field is not None:
+        values["label_field"] = args.label_field
+    options = label_options(values)
     with working("reading"):
-        scene, start = Scene.load(args.scene, label_field=args.label_field), load_start(args.scene)
+        scene, start = Scene.load(args.scene, **options), load_start(args.scene)
+        labels = _labels(args.scene, options)
     if args.json is not None:
-        emit_json(args.json, _figures(args.scene, scene, start))
+        emit_json(args.json, {**_figures(args.scene, scene, start), "labels": labels})
     if is_stdout(args.json):
         return 0
     table = Table(title=str(args.scene), title_justify="left", show_edge=False, pad_edge=False)
@@ -146,6 +168,8 @@ def run_info(args: argparse.Namespace) -> int:
         ends = [" ".join(f"{value:.3f}" for value in corner) or "–" for corner in corners]
         table.add_row(name, str(len(points)), *ends)
     console().print(table)
+    listed = ", ".join(f"{row['label']} ({row['class']}): {row['points']}" for row in labels)
+    print(f"labels: {listed}")
     print(f"frame: {scene.frame_id}")
     with np.printoptions(precision=4, suppress=True):
         print(f"target: {scene.target_pose if scene.target_pose is not None else 'none'}")
@@ -153,7 +177,29 @@ def run_info(args: argparse.Namespace) -> int:
         print("start: " + ", ".join(f"{name} {angle:.4f}" for name, angle in zip(start.joint_names, start.q, strict=True)))
     dropped = {name: count for name, count in scene.counts.items() if count and name != "received"}
     print(f"received: {scene.counts.get('received', scene.n_points)}" + "".join(f", {name}: {count}" for name, count in dropped.items()))
+    for note in scene.notes:
+        print(f"warning: {note}", file=sys.stderr)
     return 0
+
+
+def _labels(path: Path, options: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Return every label of a file's finite points, with the class that it means and the number of its points."""
+    import numpy as np
+
+    from lime_planner.scene.arrays import finite_rows, points_of, whole_labels
+    from lime_planner.scene.files import read_members
+    from lime_planner.scene.labels import class_prices
+
+    members = read_members(path, options["label_field"])
+    finite = finite_rows(points_of("points", members["points"]))
+    found, counts = np.unique(whole_labels(members["labels"], finite)[finite], return_counts=True)
+    classes = {name: options[f"{name}_labels"] for name in ("leaf", "stem", "fruit", "ignored")}
+    classes["permeable"] = tuple(class_prices(options["class_costs"]))
+    meaning = {label: name for name, labels in reversed(classes.items()) for label in labels}
+    return [
+        {"label": int(label), "class": meaning.get(int(label), "unknown, so impermeable"), "points": int(count)}
+        for label, count in zip(found, counts, strict=True)
+    ]
 
 
 def _figures(path: Path, scene: Scene, start: Start | None) -> dict[str, Any]:

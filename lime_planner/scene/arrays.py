@@ -11,6 +11,9 @@ import numpy.typing as npt
 from lime_planner.core.errors import SceneError
 from lime_planner.core.types import Bool, Float32
 
+#: Points that are rounded to this or more are not where they were measured, beside margins of millimetres.
+_COARSE_M = 0.0005
+
 
 def numbers(name: str, value: npt.ArrayLike) -> npt.NDArray[Any]:
     """Return numbers in the type that they have, whatever their shape.
@@ -72,6 +75,27 @@ def points_of(name: str, value: npt.ArrayLike) -> Float32:
     if array.ndim != 2 or array.shape[1] != 3:
         raise SceneError(f"{name}: shape {array.shape}, expected (N, 3)")
     return array
+
+
+def precision_note(points: npt.NDArray[Any], scale: float = 1.0) -> tuple[str, ...]:
+    """Say that coordinates are too large for their single precision, if they are.
+
+    Args:
+        points: (N, 3), as they came.
+        scale: metres for each of their units.
+
+    Returns:
+        One sentence, or none.
+    """
+    if points.dtype.kind != "f" or points.dtype.itemsize > 4 or not len(points):
+        return ()
+    some = np.abs(points[:: len(points) // 1000 + 1]).max(axis=1)  # of stray points a few may lie anywhere
+    typical = float(np.median(some[np.isfinite(some)])) if np.isfinite(some).any() else 0.0
+    step_m = float(np.spacing(np.float32(typical))) * scale
+    if step_m < _COARSE_M:
+        return ()
+    sentence = f"coordinates of {typical:.0f} in single precision are {1e3 * step_m:.2g} mm apart"
+    return (f"{sentence}: write them in double precision, or from an origin nearby",)
 
 
 def finite_rows(points: npt.NDArray[np.floating]) -> Bool:

@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from lime_planner.core.errors import SceneError
 from lime_planner.core.types import Array, Float32
+from lime_planner.scene.arrays import precision_note
 from lime_planner.scene.point_cloud2 import COST_FIELD, decode_cloud
 from lime_planner.scene.scene import FRUIT, LEAF, STEM, Scene
 
@@ -110,6 +111,7 @@ def scene_of_cloud(
             ignored_labels=labels.ignored if labelled else (),
             class_costs=labels.class_costs if labelled else (),
             permeability_cost=cloud.columns.get(COST_FIELD),
+            notes=tuple(f"{topic}: {note}" for note in precision_note(cloud.points)),
         )
     except SceneError as error:
         raise SceneError(f"{topic}: {error}") from None

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from lime_planner.core.errors import ParameterError, SceneError
 from lime_planner.core.types import Array, Float32, Int32, UInt8
-from lime_planner.scene.arrays import any_of, column, finite_rows, frozen, points_of, whole_labels
+from lime_planner.scene.arrays import any_of, column, finite_rows, frozen, points_of, precision_note, whole_labels
 from lime_planner.scene.files import Start, read_members, write_members
 from lime_planner.scene.labels import ClassCosts, class_prices, fruit_in_force, point_prices
 from lime_planner.scene.moving import MOVED, SCALED, carried, placed
@@ -45,6 +45,7 @@ class Scene:
         counts: what was received and what was dropped on the way here, by reason [points].
         stem_displacement_m: no received stem or fruit point inside the crop is farther than this from a kept one.
         leaf_displacement_m: the same for the leaf points that were not outliers.
+        notes: what is doubtful about where the points came from, a sentence each.
         leaf_ids: (N,) int32, the leaf each leaf point lies on; generated plants only.
         leaf_triangles: (L, 3, 3) float32, corners of the leaves' surface; generated plants only.
         leaf_triangle_ids: (L,) int32, the leaf each triangle belongs to.
@@ -61,6 +62,7 @@ class Scene:
     counts: Mapping[str, int] = dataclasses.field(default_factory=dict)
     stem_displacement_m: float = 0.0
     leaf_displacement_m: float = 0.0
+    notes: tuple[str, ...] = ()
     leaf_ids: Int32 | None = None
     leaf_triangles: Float32 | None = None
     leaf_triangle_ids: Int32 | None = None
@@ -139,6 +141,7 @@ class Scene:
         members = read_members(path, label_field)
         frame = str(members.pop("frame_id", "")) or frame_id
         try:
+            notes = precision_note(members["points"], scale)
             members = placed(members, scale, (0.0, 0.0, 0.0) if offset is None else offset)
             scene = cls.from_points(
                 members.pop("points"),
@@ -149,6 +152,7 @@ class Scene:
                 fruit_labels=fruit_labels,
                 ignored_labels=ignored_labels,
                 class_costs=class_costs,
+                notes=notes,
                 **members,
             )
         except SceneError as error:
@@ -324,6 +328,7 @@ def merged(parts: Sequence[Scene], frame_id: str) -> Scene:
         fruit_points=np.concatenate([np.empty((0, 3), np.float32), *(part.fruit_points for part in parts)]),
         frame_id=frame_id,
         counts=counts,
+        notes=tuple(dict.fromkeys(note for part in parts for note in part.notes)),
         stem_displacement_m=max((part.stem_displacement_m for part in parts), default=0.0),
         leaf_displacement_m=max((part.leaf_displacement_m for part in parts), default=0.0),
     )

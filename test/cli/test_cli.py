@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import json
 import subprocess
 import sys
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from lime_planner.cli import main as cli
 from lime_planner.core.parameters import NODE_PARAMETERS, PARAMETERS
+from lime_planner.scene.scene import Scene
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -117,6 +120,40 @@ def test_plant_and_info(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> N
     assert "leaf" in out and "frame: base" in out
     assert run("scene", "plant", "--height", "99", "--out", str(path)) == 1
     assert "height_m: 99.0 is outside 0.2 to 5" in capsys.readouterr().err
+
+
+def test_info_lists_every_label_and_takes_what_they_mean(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    points = np.random.default_rng(0).uniform(0.3, 0.6, (7, 3))
+    points[6] = np.nan
+    np.savez(tmp_path / "a.npz", points=points, labels=np.array([0, 3, 3, 1, 2, 9, np.nan]))
+    path = str(tmp_path / "a.npz")
+    assert run("scene", "info", path) == 0
+    assert (
+        "labels: 0 (leaf): 1, 1 (stem): 1, 2 (fruit): 1, 3 (unknown, so impermeable): 2, 9 (unknown, so impermeable): 1\n"
+        in capsys.readouterr().out
+    )
+    assert run("scene", "info", path, "--set", "leaf_labels=[3]", "--set", "ignored_labels=[0, 9]", "--json") == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["points"] == {"leaf": 2, "stem": 1, "fruit": 1}
+    assert {row["label"]: row["class"] for row in told["labels"]} == {0: "ignored", 1: "stem", 2: "fruit", 3: "leaf", 9: "ignored"}
+    assert run("scene", "info", path, "--set", "seed=3") == 1
+    assert "seed: only label_field, leaf_labels" in capsys.readouterr().err
+
+
+def test_coordinates_that_are_too_large_for_single_precision_are_warned_of(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    near = np.random.default_rng(0).uniform(0.3, 0.6, (50, 3))
+    far = near + [443_210.0, 5_621_987.0, 128.0]
+    for kind in (np.float32, np.float64):
+        np.savez(tmp_path / f"{np.dtype(kind)}.npz", points=far.astype(kind), labels=np.arange(50) % 2)
+    assert run("scene", "info", str(tmp_path / "float32.npz")) == 0
+    warned = (
+        "warning: coordinates of 5621988 in single precision are 5e+02 mm apart: write them in double precision, or from an origin nearby\n"
+    )
+    assert capsys.readouterr().err == warned
+    assert run("scene", "info", str(tmp_path / "float64.npz")) == 0
+    assert capsys.readouterr().err == ""
+    exact = Scene.load(tmp_path / "float64.npz", offset=(-443_210.0, -5_621_987.0, -128.0))
+    assert np.abs(exact.leaf_points - near[::2]).max() < 1e-6
 
 
 def test_parameters_lists_all(capsys: pytest.CaptureFixture[str]) -> None:

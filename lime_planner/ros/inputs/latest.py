@@ -166,7 +166,7 @@ class Inputs:
             warn: is told, throttled by the caller, about each message that is refused.
         """
         self._ros_now_s = ros_now_s
-        self._warn = warn
+        self.warn = warn
         self._reader: JointReader | None = None
         self._recent: deque[tuple[JointState, float, float]] = deque(maxlen=_RECENT_STATES)
         self.slots = {name: Slot(name) for name in (*CLOUDS, "grasp_target")}
@@ -197,7 +197,7 @@ class Inputs:
         """Take in a cloud."""
         refusal = self.slots[name].put(msg, stamp_s(msg.header.stamp), self._ros_now_s(), lambda m: check_layout(m, name))
         if refusal is not None:
-            self._warn(refusal)
+            self.warn(refusal)
             return
         sample = self.slots[name].newest
         assert sample is not None
@@ -207,7 +207,7 @@ class Inputs:
         """Take in a target; a bad one takes the place of the one before, so that nothing falls back to an older lime."""
         refusal = self.slots["grasp_target"].put(msg, stamp_s(msg.header.stamp), self._ros_now_s(), target_matrix)
         if refusal is not None:
-            self._warn(refusal)
+            self.warn(refusal)
         return refusal is None
 
     def on_joint_state(self, msg: JointState) -> ArmState | None:
@@ -223,7 +223,7 @@ class Inputs:
             state = self._read(reader, msg, arrival_s, now_s, strict=True)
         except Refusal as error:
             if self.joints.refuse(arrival_s, str(error)):
-                self._warn(str(error))
+                self.warn(str(error))
             return None
         if state is not None:
             state = self.joints.add(state)

@@ -199,6 +199,8 @@ class SceneSource:
             self._inputs.slots[name].reject(sample, str(error))
             raise Refusal(Status.BAD_INPUT, str(error)) from None
         self._parts[name] = (key, part)
+        for note in part.notes:
+            self._inputs.warn(note)
         return part
 
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import difflib
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -82,6 +83,29 @@ def make_scene(values: Mapping[str, Any]) -> _Published:
     return _Published(scene, drawn[0] if drawn else None)
 
 
+def unused(given: Iterable[str], values: Mapping[str, Any]) -> list[str]:
+    """Return which parameters given at start do nothing, a sentence each.
+
+    Args:
+        given: names of the parameters that were given.
+        values: the values of the node's own.
+    """
+    known = [name for name, _, _ in _PARAMETERS]
+    sentences = []
+    for name in given:
+        if name in ("use_sim_time", "start_type_description_service") or name.startswith("qos_overrides."):
+            continue
+        if name not in known:
+            close = difflib.get_close_matches(name, known, n=1)
+            hint = f"did you mean {close[0]}?" if close else f"there are {', '.join(known)}"
+            sentences.append(f"there is no parameter {name!r}, its value is ignored; {hint}")
+        elif name == "density" and values["file"]:
+            sentences.append("density is not used: the scene comes from a file")
+        elif name == "label_field" and not str(values["file"]).lower().endswith((".ply", ".pcd")):
+            sentences.append("label_field is not used: it names a field of PLY and PCD files")
+    return sentences
+
+
 class SceneNode(Node):
     """The node `scene`."""
 
@@ -94,7 +118,11 @@ class SceneNode(Node):
         super().__init__("scene")
         for name, default, description in _PARAMETERS:
             self.declare_parameter(name, default, ParameterDescriptor(description=description, dynamic_typing=True))
+        for sentence in unused(self._parameter_overrides, self._values()):
+            self.get_logger().warning(sentence)
         self._published = make_scene(self._values())
+        for note in self._published.scene.notes:
+            self.get_logger().warning(note)
         reliable = bool(self.get_parameter("reliable").value)
         profile = qos.LATCHED if reliable else _best_effort()
         self._clouds = {

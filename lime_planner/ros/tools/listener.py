@@ -50,7 +50,7 @@ class Listener:
             joint_names: the arm's joints; empty where they are not known.
             topics: topics of inputs (`INPUTS`) that are not at their own names.
             namespace: of the node, and so of the relative topics.
-            use_sim_time: take the time from `/clock`.
+            use_sim_time: take the time from `/clock`; otherwise that is done as soon as something publishes there.
 
         Raises:
             ParameterError: static transforms that cannot be read.
@@ -59,6 +59,7 @@ class Listener:
         rclpy.init(args=[], context=context, signal_handler_options=SignalHandlerOptions.NO)
         simulated = [Parameter("use_sim_time", value=use_sim_time)]
         self.node = Node(f"lime_planner_listener_{os.getpid()}", context=context, namespace=namespace, parameter_overrides=simulated)
+        self._simulated = use_sim_time
         names = {name: (topics or {}).get(name, name) for name in INPUTS}
         self.topics = {name: self.node.resolve_topic_name(topic) for name, topic in names.items()}
         self.inputs = Inputs(self._ros_now_s, lambda _sentence: None)
@@ -127,6 +128,9 @@ class Listener:
             self.health = pairs
 
     def _check_offers(self) -> None:
+        if not self._simulated and self.node.count_publishers("/clock"):
+            self._simulated = True  # a simulator, or a recording that is played: its stamps are not of this machine's clock
+            self.node.set_parameters([Parameter("use_sim_time", value=True)])
         for subscription in self._subscriptions:
             subscription.check()
 
