@@ -30,24 +30,28 @@ _TOPICS = (
 )
 
 
-def add_parameters(parser: argparse.ArgumentParser) -> None:
-    """Declare the options for the planner's parameters."""
+def add_parameters(parser: argparse.ArgumentParser, *, live: bool = True) -> None:
+    """Declare the options for the planner's parameters.
+
+    Args:
+        parser: the command's.
+        live: the namespace is that of a running planner's topics, too.
+    """
     parser.add_argument("--params", type=Path, metavar="FILE", help="the planner's ROS parameter file")
+    what = "namespace of the planner and its topics" if live else "with --params: namespace of the planner whose section counts"
+    parser.add_argument("--namespace", default="", metavar="NS", help=what)
     parser.add_argument(
         "--set", action="append", default=[], metavar="PARAMETER=VALUE", dest="assignments", help="set any parameter; repeatable"
     )
 
 
-def add_topics(parser: argparse.ArgumentParser, *, live: bool = True, without: tuple[str, ...] = ()) -> None:
+def add_topics(parser: argparse.ArgumentParser, *, without: tuple[str, ...] = ()) -> None:
     """Declare the options for the topics.
 
     Args:
         parser: the command's.
-        live: with the namespace of a running planner.
         without: inputs that have no option.
     """
-    if live:
-        parser.add_argument("--namespace", default="", metavar="NS", help="namespace of the planner and its topics")
     for option, name, what in _TOPICS:
         if name not in without:
             parser.add_argument(option, metavar="TOPIC", dest=f"topic_{name}", help=f"{what} (default {name})")
@@ -95,19 +99,22 @@ def read_bag(
 
 
 def read_parameters(args: argparse.Namespace) -> dict[str, Any]:
-    """Return the parameters that the options set; an option of its own wins over `--set`.
+    """Return the parameters that the options set: `--set` wins over the file, an option of its own over both.
 
     Raises:
-        ParameterError: unknown, out of range, or one that means nothing here.
+        ParameterError: unknown, out of range, or one that is set here and means nothing here; a node's file may hold such.
     """
-    values = dict(parse_assignment(text) for text in args.assignments)
+    from lime_planner.cli.parameter_file import given_parameters
+
+    values = given_parameters(args)
     for name in ("planner", "iterations", "seed"):
         if getattr(args, name) is not None:
             values[name] = getattr(args, name)
     if args.time is not None:
         values["time_budget_s"], values["iterations"] = args.time, 0
     used = (*LABEL_PARAMETERS, *(OF_RECORDINGS if getattr(args, "bag", None) is not None else ()))
-    idle = [name for name in values if name in NODE_PARAMETERS and name not in used]
+    assigned = dict(parse_assignment(text) for text in args.assignments)
+    idle = [name for name in assigned if name in NODE_PARAMETERS and name not in used]
     if idle:
         raise ParameterError(f"{', '.join(idle)}: only the node has a use for this parameter")
     return values

@@ -96,7 +96,7 @@ class _Doctor:
             from lime_planner.cli.parameter_file import read_parameter_file
 
             try:
-                self._file = read_parameter_file(args.params)
+                self._file = read_parameter_file(args.params, args.namespace)
             except ParameterError as error:
                 self._file_trouble = str(error)
         self._values: dict[str, Any] = dict(self._file.values) if self._file is not None else {}
@@ -122,6 +122,8 @@ class _Doctor:
         path = self._args.params
         where = f"{path}: {len(self._values)} set, all allowed" if path else "the defaults (--params FILE checks a file)"
         findings = [ok("parameters", where)]
+        cure = "set it for its own node, or leave it where other nodes have a use for it"
+        findings += [warning("parameters", sentence, cure) for sentence in (self._file.warnings if self._file is not None else ())]
         if self._settings.robot == "topic":
             return [*findings, ok("robot", "comes from the topic robot_description")]
         try:

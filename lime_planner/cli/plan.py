@@ -11,7 +11,17 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from lime_planner.cli.arguments import LABEL_PARAMETERS, add_bag, add_topics, load_arm, read_bag, read_parameters, read_scene, topics_of
+from lime_planner.cli.arguments import (
+    LABEL_PARAMETERS,
+    add_bag,
+    add_parameters,
+    add_topics,
+    load_arm,
+    read_bag,
+    read_parameters,
+    read_scene,
+    topics_of,
+)
 from lime_planner.core.errors import ParameterError, UsageError
 from lime_planner.core.parameters import PARAMETERS, Settings, settings_from
 from lime_planner.core.planners import PLANNERS
@@ -65,11 +75,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--offset", nargs=3, type=float, metavar=("X", "Y", "Z"), help="then move the scene by this [m]")
     add_json(parser, "every figure, the path and the trajectory")
     parser.add_argument("--picture", type=Path, metavar="FILE", help="draw plant, arm and path; .png, .svg or .pdf")
-    parser.add_argument(
-        "--set", action="append", default=[], metavar="PARAMETER=VALUE", dest="assignments", help="set any parameter; repeatable"
-    )
+    add_parameters(parser, live=False)
     add_bag(parser)
-    add_topics(parser, live=False, without=("grasp_target",))
+    add_topics(parser, without=("grasp_target",))
 
 
 def _number_or_word(text: str) -> float | str:

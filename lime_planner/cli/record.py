@@ -60,8 +60,10 @@ def run(args: argparse.Namespace) -> int:
     if args.params is not None:
         from lime_planner.cli.parameter_file import read_parameter_file
 
-        file = read_parameter_file(args.params)
+        file = read_parameter_file(args.params, args.namespace)
         values, simulated = dict(file.values), file.use_sim_time
+        for sentence in file.warnings:
+            print(f"{args.params}: {sentence}", file=sys.stderr)
     own = [text for text in args.assignments if text.partition("=")[0] == "use_sim_time"]  # every ROS node has this parameter
     for text in own:
         if text not in ("use_sim_time=true", "use_sim_time=false"):

@@ -32,6 +32,8 @@ examples:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the command's arguments."""
+    from lime_planner.cli.arguments import add_parameters
+
     parser.epilog = _EPILOG
     parser.add_argument("what", metavar="FILE", nargs="?", type=Path, help="a scene (.npz, .ply, .pcd) or a saved plan (.json)")
     parser.add_argument(
@@ -47,9 +49,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--start", nargs="+", type=float, metavar="Q", help="joint angles at the start [rad]; default: the arm's home")
     parser.add_argument("--scale", type=float, default=1.0, metavar="S", help="metres for each unit of the scene file (default 1)")
     parser.add_argument("--offset", nargs=3, type=float, metavar=("X", "Y", "Z"), help="then move the scene by this [m]")
-    parser.add_argument(
-        "--set", action="append", default=[], metavar="PARAMETER=VALUE", dest="assignments", help="set any parameter; repeatable"
-    )
+    add_parameters(parser, live=False)
     parser.set_defaults(planner=None, iterations=None, seed=None, time=None)
 
 
@@ -65,9 +65,10 @@ def run(args: argparse.Namespace) -> int:
     if args.scene is not None and (args.nodes or args.what is None or args.what.suffix.lower() != ".json"):
         raise ParameterError("--scene is for a saved plan (.json); a scene by itself is given as FILE")
     if args.nodes:
+        from lime_planner.cli.parameter_file import given_parameters
         from lime_planner.ros.demo.live_view import run_with_nodes
 
-        return run_with_nodes(args, access)
+        return run_with_nodes(args, access, given_parameters(args))
     from lime_planner.viewer.page import Page
     from lime_planner.viewer.serving import free_port
 

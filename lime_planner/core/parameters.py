@@ -10,7 +10,7 @@ import dataclasses
 import math
 import re
 import typing
-from collections.abc import Mapping
+from collections.abc import Hashable, Iterable, Mapping
 from dataclasses import dataclass
 from numbers import Real
 from typing import Any, TypeVar
@@ -21,6 +21,10 @@ from lime_planner.core.planners import DEFAULT_PLANNER, PLANNERS
 T = TypeVar("T")
 
 _NO_FLOOR_Z_M = -1000.0  # says in files and messages, which have no infinity, that there is no floor
+#: Parameters that every ROS node has.
+_OF_EVERY_NODE = ("use_sim_time", "start_type_description_service")
+#: How alike two names are (difflib's ratio) before one is taken for a slip of the other.
+_SLIP_RATIO = 0.85
 
 
 @dataclass(frozen=True)
@@ -264,6 +268,29 @@ def validate(name: str, value: Any) -> Any:
     return checked
 
 
+def unknown_names(given: Iterable[str]) -> list[str]:
+    """Return the names of start values that mean nothing to the planner node, one sentence each.
+
+    A file may hold other nodes' parameters too, so a name alone is no error; a name that is nearly one of the table's is a slip, and what
+    it was to forbid would be allowed without it.
+
+    Raises:
+        ParameterError: a name that is nearly one of the table's.
+    """
+    import difflib
+
+    known = {**PARAMETERS, **NODE_PARAMETERS}
+    sentences = []
+    for name in given:
+        if name in known or name in _OF_EVERY_NODE or name.startswith("qos_overrides."):
+            continue
+        close = difflib.get_close_matches(name, known, n=3, cutoff=_SLIP_RATIO)
+        if close:
+            raise ParameterError(f"there is no parameter {name!r}; did you mean {', '.join(close)}?")
+        sentences.append(f"there is no parameter {name!r}; its value is ignored")
+    return sentences
+
+
 def _check_together(settings: Settings) -> None:
     for name, box in (("keep_out_boxes", settings.keep_out_boxes), ("workspace_box", settings.workspace_box)):
         for k in range(0, len(box), 6):
@@ -299,8 +326,24 @@ def read_yaml(text: str) -> Any:
     """
     import yaml
 
+    def joined(before: Any, value: Any) -> Any:
+        if not isinstance(before, dict) or not isinstance(value, dict):
+            return value
+        return {**before, **{key: joined(before.get(key), below) for key, below in value.items()}}
+
     class Loader(yaml.SafeLoader):
         """The safe loader; a class of its own, so that YAML read elsewhere keeps its meaning."""
+
+        def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+            """Join maps that stand under the same name twice, as ROS does with a node's sections."""
+            self.flatten_mapping(node)
+            found: dict[Any, Any] = {}
+            for key_node, value_node in node.value:
+                key, value = self.construct_object(key_node, deep=True), self.construct_object(value_node, deep=True)
+                if not isinstance(key, Hashable):
+                    raise yaml.constructor.ConstructorError("in a map", node.start_mark, "a key is no name", key_node.start_mark)
+                found[key] = joined(found.get(key), value)
+            return found
 
     plain = re.compile(r"^[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?$")
     Loader.add_implicit_resolver("tag:yaml.org,2002:float", plain, list("-+.0123456789"))  # asked after YAML 1.1's own

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-import difflib
 import sys
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,17 +13,22 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
 
 from lime_planner.core.errors import ParameterError
-from lime_planner.core.parameters import NODE_PARAMETERS, PARAMETERS, NodeSettings, Parameter, Settings, frozen, settings_from, validate
+from lime_planner.core.parameters import (
+    NODE_PARAMETERS,
+    PARAMETERS,
+    NodeSettings,
+    Parameter,
+    Settings,
+    frozen,
+    settings_from,
+    unknown_names,
+    validate,
+)
 from lime_planner.scene import point_cloud2
 from lime_planner.scene.labels import fruit_in_force
 
 _TABLE = {**PARAMETERS, **NODE_PARAMETERS}
 _ARRAYS = {int: RosParameter.Type.INTEGER_ARRAY, float: RosParameter.Type.DOUBLE_ARRAY, str: RosParameter.Type.STRING_ARRAY}
-
-#: Parameters that every rclpy node has.
-_ROS_NAMES = ("use_sim_time", "start_type_description_service")
-#: How alike two names are (difflib's ratio) before one is taken for a slip of the other.
-_SLIP_RATIO = 0.85
 
 
 @dataclass(frozen=True)
@@ -49,26 +53,6 @@ def snapshot_from(values: Mapping[str, Any]) -> Snapshot:
     return Snapshot(settings_from(checked), dataclasses.replace(node, fruit_labels=fruit))
 
 
-def check_names(given: Iterable[str]) -> list[str]:
-    """Return the names of start values that mean nothing here, one sentence each.
-
-    A file may hold other nodes' parameters too, so a name alone is no error; a name that is nearly one of ours is a slip, and what
-    it was to forbid would be allowed without it.
-
-    Raises:
-        ParameterError: a name that is nearly one of the table's.
-    """
-    sentences = []
-    for name in given:
-        if name in _TABLE or name in _ROS_NAMES or name.startswith("qos_overrides."):
-            continue
-        close = difflib.get_close_matches(name, _TABLE, n=3, cutoff=_SLIP_RATIO)
-        if close:
-            raise ParameterError(f"there is no parameter {name!r}; did you mean {', '.join(close)}?")
-        sentences.append(f"there is no parameter {name!r}; its value is ignored")
-    return sentences
-
-
 class NodeParameters:
     """Declares the table on a node and keeps the current `Snapshot`."""
 
@@ -79,7 +63,7 @@ class NodeParameters:
             ParameterError: a value given at start (file, command line) is not allowed, or its name is nearly that of a parameter.
         """
         self._node = node
-        for sentence in check_names(node._parameter_overrides):
+        for sentence in unknown_names(node._parameter_overrides):
             node.get_logger().warning(sentence)
         #: Told about every new snapshot, after it is in force.
         self.on_change: Callable[[Snapshot], None] = lambda _: None

@@ -15,9 +15,9 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from std_msgs.msg import String
 
 from lime_planner.core.errors import ParameterError
-from lime_planner.core.parameters import NODE_PARAMETERS, PARAMETERS
+from lime_planner.core.parameters import NODE_PARAMETERS, PARAMETERS, unknown_names
 from lime_planner.ros import qos
-from lime_planner.ros.parameters import NodeParameters, check_names, snapshot_from
+from lime_planner.ros.parameters import NodeParameters, snapshot_from
 
 pytestmark = pytest.mark.alone
 
@@ -73,8 +73,8 @@ def test_a_misspelt_name_is_refused_and_a_foreign_one_is_told(context: rclpy.Con
             NodeParameters(node)
         node.destroy_node()
     own = ["use_sim_time", "start_type_description_service", "qos_overrides./clock.subscription.depth", "seed"]
-    assert check_names(own) == []
-    assert check_names([*own, "camera.rate"]) == ["there is no parameter 'camera.rate'; its value is ignored"]
+    assert unknown_names(own) == []
+    assert unknown_names([*own, "camera.rate"]) == ["there is no parameter 'camera.rate'; its value is ignored"]
 
 
 @pytest.mark.parametrize(

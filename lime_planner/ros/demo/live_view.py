@@ -7,10 +7,12 @@ import importlib.util
 import os
 import socket
 import time
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 from lime_planner.core.errors import ParameterError
-from lime_planner.core.parameters import PARAMETERS, parse_assignment, settings_from
+from lime_planner.core.parameters import PARAMETERS, settings_from
 from lime_planner.ros.demo.demo import DEFAULT_SEED, Clock, choose_arm, completed_scene, scene_of
 from lime_planner.ros.demo.processes import Corner, DemoError, Processes
 from lime_planner.viewer.access import Access
@@ -21,8 +23,13 @@ _START_TIMEOUT_S = 60.0
 _CHECK_PERIOD_S = 0.5
 
 
-def run_with_nodes(args: argparse.Namespace, access: Access) -> int:
+def run_with_nodes(args: argparse.Namespace, access: Access, given: Mapping[str, Any]) -> int:
     """Start the nodes, say where the page is, and end them at Ctrl-C; 0 then.
+
+    Args:
+        args: of `lime-planner view`.
+        access: to the page.
+        given: the planner's parameters, by name.
 
     Raises:
         DemoError: a node has ended, or the page does not come.
@@ -30,7 +37,7 @@ def run_with_nodes(args: argparse.Namespace, access: Access) -> int:
     """
     if args.start is not None:
         raise ParameterError("--start: with --nodes the arm starts where the simulated arm stands")
-    values, clock = dict(parse_assignment(text) for text in args.assignments), Clock()
+    values, clock = dict(given), Clock()
     choose_arm(values, clock)
     planning = {name: value for name, value in values.items() if name in PARAMETERS}
     settings = settings_from(planning)
