@@ -61,9 +61,9 @@ EXTRAS_REQUIRE = {
 }
 
 CONSOLE_SCRIPTS = [
-    "planner_node = lime_planner.ros.nodes.planner_node:main",
-    "mock_arm_node = lime_planner.ros.nodes.mock_arm_node:main",
-    "scene_node = lime_planner.ros.nodes.scene_node:main",
+    "planner_node = lime_planner.ros.programs:planner_node",
+    "mock_arm_node = lime_planner.ros.programs:mock_arm_node",
+    "scene_node = lime_planner.ros.programs:scene_node",
     "lime-planner = lime_planner.cli.main:main",
 ]
 

@@ -14,7 +14,7 @@ from lime_planner.core.status import Status
 from lime_planner.motion import stop
 from lime_planner.pipeline import Pipeline
 from lime_planner.robot.model import Robot, load_robot, robot_from_urdf
-from lime_planner.ros.runtime import BackgroundThread
+from lime_planner.ros.runtime import BackgroundThread, Severity
 
 #: `robot` parameter that asks for the model from the topic `robot_description`.
 FROM_TOPIC = "topic"
@@ -61,7 +61,7 @@ class ModelLoader(BackgroundThread):
         *,
         may_exchange: Callable[[], bool],
         on_loaded: Callable[[Loaded], None],
-        report: Callable[[bool, str], None],
+        report: Callable[[Severity, str], None],
     ) -> None:
         """Start loading.
 
@@ -70,7 +70,7 @@ class ModelLoader(BackgroundThread):
             settings: the parameters; those of the robot are fixed at start.
             may_exchange: False while a motion runs; another model is not taken in then.
             on_loaded: is told about each new model before it is used.
-            report: log: (whether it is an error, sentence).
+            report: writes a sentence into the log.
         """
         super().__init__("model loader")
         self._builder = builder
@@ -96,6 +96,11 @@ class ModelLoader(BackgroundThread):
     def ready(self) -> bool:
         """Whether requests are served without waiting."""
         return self._warm
+
+    @property
+    def failure(self) -> str:
+        """Why the model that was asked for last cannot be used, in a sentence; empty when it can, or is still being loaded."""
+        return self._failure
 
     def offer(self, urdf: str) -> None:
         """Take a robot description in as soon as no plan and no motion runs; the one that was offered last is not taken in twice."""
@@ -175,8 +180,8 @@ class ModelLoader(BackgroundThread):
                 self._warm, self.state = True, "ready"
                 self._condition.notify_all()
             for sentence in loaded.robot.warnings:
-                self._report(True, f"the robot description is suspicious: {sentence}")
-            self._report(False, f"ready to plan for {loaded.robot.name} after {time.monotonic() - began_s:.1f} s")
+                self._report(Severity.WARN, f"the robot description is suspicious: {sentence}")
+            self._report(Severity.OK, f"ready to plan for {loaded.robot.name} after {time.monotonic() - began_s:.1f} s")
 
     def _exchange(self, loaded: Loaded) -> bool:
         """Take the model in while no plan and no motion runs; False when the node ends first."""
@@ -199,8 +204,9 @@ class ModelLoader(BackgroundThread):
         # With an older model at hand the node goes on with it, and says so in the log.
         with self._condition:
             if self._description is None:
-                self._offered = None  # whoever offers it again wants another try
+                self._offered = None  # offered again, it is tried again
+            self._failure = sentence
             if not self._warm:
-                self._failure = self.state = sentence
+                self.state = sentence
             self._condition.notify_all()
-        self._report(True, sentence)
+        self._report(Severity.ERROR, sentence)

@@ -22,10 +22,10 @@ NEWEST = _profile(1, ReliabilityPolicy.RELIABLE, DurabilityPolicy.VOLATILE)
 JOINT_STATES = _profile(10, ReliabilityPolicy.BEST_EFFORT, DurabilityPolicy.VOLATILE)
 #: The motion command is never latched: a controller that starts later must not carry out an old motion.
 COMMAND = _profile(1, ReliabilityPolicy.RELIABLE, DurabilityPolicy.VOLATILE)
-#: For whoever comes later: path, markers, accepted target, robot description.
+#: For subscribers that come later: status, path, markers, accepted target, robot description. One message: what comes first is the newest.
 LATCHED = _profile(1, ReliabilityPolicy.RELIABLE, DurabilityPolicy.TRANSIENT_LOCAL)
-#: Status: latched, and deep enough that quick changes of phase all arrive.
-STATUS = _profile(10, ReliabilityPolicy.RELIABLE, DurabilityPolicy.TRANSIENT_LOCAL)
+#: How to subscribe to the status so that quick changes of phase all arrive; it is published as `LATCHED`.
+EVERY_STATUS = _profile(10, ReliabilityPolicy.RELIABLE, DurabilityPolicy.TRANSIENT_LOCAL)
 #: Services: a burst of requests must not push out the ones not read yet.
 SERVICE = _profile(1000, ReliabilityPolicy.RELIABLE, DurabilityPolicy.VOLATILE)
 

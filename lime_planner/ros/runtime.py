@@ -8,6 +8,7 @@ main thread waits at the pipe's other end and then takes the node down in a fixe
 from __future__ import annotations
 
 import ctypes
+import enum
 import faulthandler
 import os
 import re
@@ -124,6 +125,14 @@ def _take_down(node: Node, executor: Executor, thread: threading.Thread) -> None
     executor.shutdown()
     node.destroy_node()
     rclpy.try_shutdown()
+
+
+class Severity(enum.IntEnum):
+    """How bad a thing is, in the log and, by the same numbers, in diagnostics."""
+
+    OK = 0
+    WARN = 1
+    ERROR = 2
 
 
 class BackgroundThread(ABC):

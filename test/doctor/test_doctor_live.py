@@ -157,7 +157,7 @@ def test_a_running_planner(robot: Robot, shared: SharedListener, monkeypatch: py
         values = {"engine": "ready", "motion_enabled": False, "last_status": "", "leaf_cloud.refusal": "leaf_cloud has no field 'x'"}
         health = planner.create_publisher(DiagnosticArray, "/diagnostics", 10)
         shared.listener.wait(lambda: health.get_subscription_count() > 0, 10.0)
-        health.publish(health_message(planner.get_clock().now().to_msg(), "lime_planner", "fake", "", values))
+        health.publish(health_message(planner.get_clock().now().to_msg(), "lime_planner", "fake", [], values))
         shared.listener.wait(lambda: bool(shared.listener.health), 10.0)
         _, findings = doctor("--only", "live", "--wait", 1)
         words = ("/lime_planner: ready, motion is disabled, last answer none yet", "it refuses: leaf_cloud has no field 'x'")

@@ -31,6 +31,7 @@ class FakeRobot:
     planning_frame: str = "base"
     tool_frame: str = "tool"
     links: tuple[Any, ...] = ()
+    warnings: tuple[str, ...] = ()
     held_joints: tuple[tuple[str, float], ...] = ()
     velocity_limits: np.ndarray = field(default_factory=lambda: np.full(3, 1.0))
     acceleration_limits: np.ndarray = field(default_factory=lambda: np.full(3, 2.0))

@@ -138,7 +138,9 @@ class Bench:
             self.node.create_timer(1.0 / rate_hz, self._tick)
         else:  # somebody else does: only listen
             self.node.create_subscription(JointState, "joint_states", self._on_joint_state, qos.JOINT_STATES)
-        self.node.create_subscription(DiagnosticArray, f"{planner}/status", lambda msg: self.statuses.append(read_status(msg)), qos.STATUS)
+        self.node.create_subscription(
+            DiagnosticArray, f"{planner}/status", lambda msg: self.statuses.append(read_status(msg)), qos.EVERY_STATUS
+        )
         self.node.create_subscription(DiagnosticArray, "/diagnostics", lambda msg: self.health.update(read_status(msg)), 10)
         self.node.create_subscription(PathMsg, f"{planner}/tool_path", self.paths.append, qos.LATCHED)
         self._controller: Any = None

@@ -24,6 +24,7 @@ from lime_planner.ros.convert import (
     to_pose_stamped,
 )
 from lime_planner.ros.requests.status_board import Phase, health_message, read_status, status_message, text
+from lime_planner.ros.runtime import Severity
 
 
 def state(names: list[str], positions: list[float]) -> JointState:
@@ -164,5 +165,8 @@ def test_levels_tell_trouble_from_defects() -> None:
         for code in (None, Status.SUCCEEDED, Status.PREEMPTED, Status.NO_PATH, Status.INTERNAL_ERROR)
     }
     assert [level[code] for code in level] == [b"\x00", b"\x00", b"\x00", b"\x01", b"\x02"]
-    assert health_message(Time(), "n", "r", "", {}).status[0].level == b"\x00"
-    assert health_message(Time(), "n", "r", "compiling", {}).status[0].level == b"\x01"
+    assert health_message(Time(), "n", "r", [], {}).status[0].level == b"\x00"
+    late, lost = (Severity.WARN, "compiling"), (Severity.ERROR, "no robot")
+    assert health_message(Time(), "n", "r", [late], {}).status[0].level == b"\x01"
+    worst = health_message(Time(), "left/n", "r", [late, lost, late], {}).status[0]
+    assert worst.level == b"\x02" and worst.message == "compiling; no robot; compiling" and worst.name == "left/n: health"

@@ -20,7 +20,7 @@ from lime_planner.robot.model import Robot, home, load_robot
 from lime_planner.ros.display.markers import markers
 from lime_planner.ros.execution.retreat import Path, WayOut, nearest_turns, way_back
 from lime_planner.ros.model_loader import Loaded, ModelLoader
-from lime_planner.ros.runtime import Throttle
+from lime_planner.ros.runtime import Severity, Throttle
 from lime_planner.scene.scene import Scene
 
 pytestmark = pytest.mark.alone
@@ -34,7 +34,7 @@ class Log:
     """Records what a model loader says and which models it brought."""
 
     def __init__(self) -> None:
-        self.reports: list[tuple[bool, str]] = []
+        self.reports: list[tuple[Severity, str]] = []
         self.models: list[Loaded] = []
         self.may_exchange = True
 
@@ -45,7 +45,7 @@ class Log:
             settings,
             may_exchange=lambda: self.may_exchange,
             on_loaded=self.models.append,
-            report=lambda error, sentence: self.reports.append((error, sentence)),
+            report=lambda severity, sentence: self.reports.append((severity, sentence)),
         )
 
 
@@ -81,7 +81,7 @@ def test_a_robot_that_cannot_be_loaded_is_a_sentence() -> None:
     loader = log.loader(lambda settings, urdf: build(settings, "bad"))
     status, sentence = refusal_of(loader, 60.0)
     assert (status, sentence) == (Status.BAD_INPUT, "the robot cannot be loaded: the URDF has no joints")
-    assert log.reports == [(True, sentence)]
+    assert log.reports == [(Severity.ERROR, sentence)]
 
     def defect(_settings: Any, _urdf: str | None) -> Loaded:
         raise ZeroDivisionError("oops")

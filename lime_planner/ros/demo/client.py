@@ -44,7 +44,7 @@ class DemoClient:
         rclpy.init(args=[], domain_id=corner.domain, signal_handler_options=SignalHandlerOptions.NO)
         node = rclpy.create_node("demo", namespace=corner.namespace)
         node.create_subscription(JointState, "joint_states", self._on_joint_state, qos.JOINT_STATES)
-        node.create_subscription(DiagnosticArray, f"{_PLANNER}/status", self._on_status, qos.STATUS)
+        node.create_subscription(DiagnosticArray, f"{_PLANNER}/status", self._on_status, qos.EVERY_STATUS)
         node.create_subscription(DiagnosticArray, "/diagnostics", self._on_health, 10)
         self._plan = node.create_client(Trigger, f"{_PLANNER}/plan", qos_profile=qos.SERVICE)
         self._spinning = Spinning(node)

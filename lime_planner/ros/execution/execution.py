@@ -116,6 +116,12 @@ class Execution:
             return self._motion is not None or self._stopping is not None
 
     @property
+    def watched(self) -> bool:
+        """Whether `tick` has anything to notice: a motion, a stop, or an arm that was not seen to rest after one."""
+        with self._lock:
+            return self._motion is not None or self._stopping is not None or self._restless is not None
+
+    @property
     def ending(self) -> Motion | None:
         """The motion that is being stopped."""
         stopping = self._stopping
@@ -278,7 +284,7 @@ class Execution:
                 self.stop(Status.EXECUTION_DEVIATED, sentence)
 
     def tick(self) -> None:
-        """Notice silence, the end, and rest after a stop; to be called some 20 times a second."""
+        """Notice silence, the end, and rest after a stop; to be called some 20 times a second while `watched`."""
         ended: Ended | None = None
         with self._lock:
             if self._stopping is not None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import array
+import sys
 import time
 from collections.abc import Mapping
 from typing import Any
@@ -23,6 +24,7 @@ from lime_planner.motion.controllers.command import Command
 from lime_planner.motion.controllers.replay import TICK_S
 from lime_planner.motion.controllers.simulated_arm import CONTROLLERS, LONGEST_DELAY_S, Faults, SimulatedArm
 from lime_planner.robot.builtin import BUILTIN_ARMS
+from lime_planner.ros.programs import answered
 from lime_planner.ros.qos import COMMAND
 from lime_planner.ros.runtime import run_node
 
@@ -210,10 +212,21 @@ class MockArmNode(Node):
         self._sim.faults = self._table.faults()
 
 
+def parameter_help() -> list[tuple[str, str]]:
+    """Return every parameter's name and what it is, default and range included, for `--help`."""
+    rows = []
+    for parameter in TABLE:
+        default = "" if parameter.default in ([], "") else f", default {parameter.default}"
+        limits = "" if parameter.range_text == "any" else f", {parameter.range_text}"
+        rows.append((parameter.name, f"{parameter.description} [{parameter.unit or parameter.kind.__name__}{default}{limits}]"))
+    return rows
+
+
 def main() -> int:
-    """Run the node."""
-    return run_node(MockArmNode)
+    """Run the node until a signal."""
+    code = answered("mock_arm_node", sys.argv[1:])
+    return run_node(MockArmNode) if code is None else code
 
 
 if __name__ == "__main__":
-    raise SystemExit(main())
+    sys.exit(main())

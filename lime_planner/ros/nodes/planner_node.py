@@ -44,12 +44,13 @@ from lime_planner.ros.inputs.latest import Inputs
 from lime_planner.ros.inputs.scene_source import SceneSource
 from lime_planner.ros.model_loader import FROM_TOPIC, Builder, Loaded, ModelLoader, build
 from lime_planner.ros.parameters import NodeParameters, Snapshot
+from lime_planner.ros.programs import answered
 from lime_planner.ros.requests.jobs import Requests
 from lime_planner.ros.requests.parts import NodeParts
 from lime_planner.ros.requests.services import Services
-from lime_planner.ros.requests.status_board import Phase, StatusBoard, health_message
+from lime_planner.ros.requests.status_board import Phase, StatusBoard, health_message, severity_of
 from lime_planner.ros.requests.worker import Answer, RequestContext, Ticket, Worker
-from lime_planner.ros.runtime import Throttle, give_back, run_node
+from lime_planner.ros.runtime import Severity, Throttle, give_back, run_node
 from lime_planner.scene.from_clouds import CLOUDS, unfiltered
 
 #: Python hands the interpreter from one thread to another this often [s]: callbacks wait less for the worker's Python.
@@ -83,7 +84,8 @@ class PlannerNode(Node):
         self.get_logger().info(f"frames from {self.frames.source}")
         self.source = SceneSource(self.inputs, self.frames, "", unfiltered, fixed_frame=settings.node.fixed_frame)  # of no arm yet
         self._open_outputs()
-        self.board = StatusBoard(self.get_name(), self._now, self._status.publish)
+        self._diagnosed_as = self.get_fully_qualified_name().lstrip("/")
+        self.board = StatusBoard(self._diagnosed_as, self._now, self._status.publish)
         self.execution = Execution(
             self.inputs.joints,
             to_joint_trajectory,
@@ -124,7 +126,8 @@ class PlannerNode(Node):
         self._open_inputs(settings.plan.robot)
         self.request_services = Services(parts, self.requests, self._log)
         steady = Clock(clock_type=ClockType.STEADY_TIME)  # the watch goes on where simulated time stands still
-        self.create_timer(_WATCH_PERIOD_S, self._safely(self.execution.tick), clock=steady)
+        self._motion_timer = self.create_timer(_WATCH_PERIOD_S, self._safely(self._watch_motion), clock=steady)
+        self._motion_timer.cancel()  # runs while there is a motion to watch
         self.create_timer(_OFFERS_PERIOD_S, self._safely(self._check_offers), clock=steady)
         self.create_timer(1.0, self._safely(self._publish_health), clock=steady)
         self.viewer = serve_page(parts, self.requests, self.request_services)
@@ -147,7 +150,7 @@ class PlannerNode(Node):
 
     def _open_outputs(self) -> None:
         self._command = self.create_publisher(JointTrajectory, "joint_trajectory", qos.COMMAND)
-        self._status = self.create_publisher(DiagnosticArray, "~/status", qos.STATUS)
+        self._status = self.create_publisher(DiagnosticArray, "~/status", qos.LATCHED)
         self._target = self.create_publisher(PoseStamped, "~/target", qos.LATCHED)
         self._tool_path = self.create_publisher(Path, "~/tool_path", qos.LATCHED)
         self._markers = self.create_publisher(MarkerArray, "~/markers", qos.LATCHED)
@@ -195,7 +198,7 @@ class PlannerNode(Node):
     def _on_cloud(self, name: str, msg: PointCloud2) -> None:
         self.inputs.on_cloud(name, msg)
         self.source.arrived(name)
-        if name != "leaf_cloud":
+        if name != "leaf_cloud" and self.execution.motion is not None:
             self.watch.notice()
 
     def _on_target(self, msg: PoseStamped) -> None:
@@ -207,8 +210,20 @@ class PlannerNode(Node):
         state = self.inputs.on_joint_state(msg)
         if state is not None:
             self.execution.on_state(state)
+            self._notice_motion()
+
+    def _watch_motion(self) -> None:
+        self.execution.tick()
+        if not self.execution.watched:
+            self._motion_timer.cancel()
+
+    def _notice_motion(self) -> None:
+        """Begin to watch a motion that was sent since the last look; for the executor's thread, which alone sets the timer."""
+        if self._motion_timer.is_canceled() and self.execution.watched:
+            self._motion_timer.reset()
 
     def _check_offers(self) -> None:
+        self._notice_motion()
         for subscription in self._subscriptions_by_offer:
             subscription.check()
         self.markers.check()
@@ -226,10 +241,20 @@ class PlannerNode(Node):
             "motion_enabled": self.params.snapshot.node.motion_enabled,
             "controllers": self._command.get_subscription_count(),
         }
-        trouble = "; ".join(
-            [*([] if self.loader.ready else [self.loader.state]), *self.inputs.trouble(self.params.snapshot.node.max_joint_state_age_s)]
-        )
-        self._health.publish(health_message(self._now(), self.get_name(), self.board.robot, trouble, values))
+        self._health.publish(health_message(self._now(), self._diagnosed_as, self.board.robot, self._trouble(), values))
+
+    def _trouble(self) -> list[tuple[Severity, str]]:
+        trouble = []
+        if self.loader.failure:
+            trouble.append((Severity.WARN if self.loader.ready else Severity.ERROR, self.loader.failure))
+        elif not self.loader.ready:
+            trouble.append((Severity.WARN, self.loader.state))
+        for sentence in self.inputs.trouble(self.params.snapshot.node.max_joint_state_age_s):
+            trouble.append((Severity.WARN, sentence))
+        severity = severity_of(self.board.last_code)
+        if severity is not Severity.OK:
+            trouble.append((severity, f"the last request: {self.board.last_message}"))
+        return trouble
 
     def _robot(self) -> Robot | None:
         loaded = self.loader.loaded
@@ -244,9 +269,11 @@ class PlannerNode(Node):
     def _ros_now_s(self) -> float:
         return float(self.get_clock().now().nanoseconds) * 1e-9
 
-    def _log(self, error: bool, sentence: str) -> None:
-        if error:  # two calls: rclpy holds one place in the source to one severity
+    def _log(self, severity: Severity, sentence: str) -> None:
+        if severity is Severity.ERROR:  # three calls: rclpy holds one place in the source to one severity
             self.get_logger().error(sentence)
+        elif severity is Severity.WARN:
+            self.get_logger().warning(sentence)
         else:
             self.get_logger().info(sentence)
 
@@ -263,7 +290,10 @@ class PlannerNode(Node):
 
 
 def main() -> int:
-    """Run the node until a signal; the program `planner_node`."""
+    """Run the node until a signal."""
+    code = answered("planner_node", sys.argv[1:])
+    if code is not None:
+        return code
     sys.setswitchinterval(_SWITCH_INTERVAL_S)
 
     nodes: list[PlannerNode] = []

@@ -23,6 +23,7 @@ from lime_planner.core.types import Array
 from lime_planner.ros import qos
 from lime_planner.ros.convert import to_pose
 from lime_planner.ros.inputs.clouds import encode_cloud
+from lime_planner.ros.programs import answered
 from lime_planner.ros.runtime import run_node
 from lime_planner.scene.plants.generator import DENSITIES, PlantOptions, generate_plant
 from lime_planner.scene.plants.grasp_targets import canopy_targets
@@ -202,8 +203,19 @@ def _best_effort() -> QoSProfile:
     return QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT, durability=DurabilityPolicy.VOLATILE)
 
 
+def parameter_help() -> list[tuple[str, str]]:
+    """Return every parameter's name and what it is, default included, for `--help`."""
+    return [
+        (name, text if default in ([], "") else f"{text} [default {str(default).lower() if isinstance(default, bool) else default}]")
+        for name, default, text in _PARAMETERS
+    ]
+
+
 def main() -> int:
-    """Run the node until a signal; the program `scene_node`. A scene that cannot be used ends it with code 2 and a sentence."""
+    """Run the node until a signal. A scene that cannot be used ends it with code 2 and a sentence."""
+    code = answered("scene_node", sys.argv[1:])
+    if code is not None:
+        return code
 
     def factory() -> SceneNode:
         try:

@@ -19,8 +19,9 @@ from lime_planner.ros.convert import to_path
 from lime_planner.ros.requests.jobs import Requests
 from lime_planner.ros.requests.parts import NodeParts
 from lime_planner.ros.requests.request_text import about, answer_message, log_line, target_values
-from lime_planner.ros.requests.status_board import Phase
+from lime_planner.ros.requests.status_board import Phase, severity_of
 from lime_planner.ros.requests.worker import Answer, RequestContext, Ticket
+from lime_planner.ros.runtime import Severity
 
 #: From a coroutine's end to its response on the wire [s], generously.
 _LEAVING_S = 0.03
@@ -29,13 +30,13 @@ _LEAVING_S = 0.03
 class Services:
     """`~/plan`, `~/preview`, `~/preview_to`, `~/execute`, `~/retreat` and `~/stop`."""
 
-    def __init__(self, parts: NodeParts, requests: Requests, log: Callable[[bool, str], None]) -> None:
+    def __init__(self, parts: NodeParts, requests: Requests, log: Callable[[Severity, str], None]) -> None:
         """Open the services.
 
         Args:
             parts: of the node that serves them.
             requests: what each request does.
-            log: log: (whether it is an error, sentence).
+            log: writes a sentence into the log.
         """
         node = self._node = parts.node
         self._parameters = parts.parameters
@@ -62,9 +63,9 @@ class Services:
             self._board.show(ticket.plan_id, phase, answer.status, message, **target_values(ticket.context.target))
             if motion is not None and not own:
                 self._board.show(motion.plan_id, Phase.EXECUTING)  # the newest status tells what the arm does
-            self._log(answer.status is Status.INTERNAL_ERROR, log_line(ticket, answer))
+            self._log(severity_of(answer.status), log_line(ticket, answer))
         except Exception:  # the answer itself must get through
-            self._log(True, traceback.format_exc())
+            self._log(Severity.ERROR, traceback.format_exc())
 
     async def _trigger(
         self, kind: str, job: Callable[[Ticket], Answer], _request: Trigger.Request, response: Trigger.Response
@@ -112,7 +113,7 @@ class Services:
         try:
             response.success, response.message = True, Status.SUCCEEDED.message(self.stop_everything())
         except Exception as error:
-            self._log(True, traceback.format_exc())
+            self._log(Severity.ERROR, traceback.format_exc())
             response.success, response.message = False, Status.INTERNAL_ERROR.message(f"{type(error).__name__}: {error}")
         return response
 
@@ -125,7 +126,7 @@ class Services:
         moving = self._execution.stop(Status.CANCELLED, "stopped by ~/stop") or moving
         words = "the motion is being stopped" if moving else foreign or "no motion was running"
         sentence = f"{words}; {cancelled} request(s) cancelled {self._about_the_stopped()}"
-        self._log(False, f"stop: {Status.SUCCEEDED.message(sentence)}")
+        self._log(Severity.OK, f"stop: {Status.SUCCEEDED.message(sentence)}")
         return sentence
 
     def _about_the_stopped(self) -> str:

@@ -6,13 +6,14 @@ import enum
 import json
 import threading
 from collections import OrderedDict
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
 from lime_planner.core.status import Status
+from lime_planner.ros.runtime import Severity
 
 #: Requests remembered: the running motion's and the newest ones.
 _REMEMBERED = 16
@@ -56,13 +57,11 @@ def _rounded(value: object) -> object:
     return value.item() if isinstance(value, np.generic) else value
 
 
-def _level(code: Status | None) -> bytes:
-    level: bytes = DiagnosticStatus.WARN
+def severity_of(code: Status | None) -> Severity:
+    """Return how bad a request's outcome is: a refused one is a warning, a defect an error."""
     if code is None or code in _QUIET:
-        level = DiagnosticStatus.OK
-    elif code is Status.INTERNAL_ERROR:
-        level = DiagnosticStatus.ERROR
-    return level
+        return Severity.OK
+    return Severity.ERROR if code is Status.INTERNAL_ERROR else Severity.WARN
 
 
 def status_message(
@@ -72,7 +71,7 @@ def status_message(
 
     Args:
         stamp: now.
-        name: the node's name.
+        name: the node's name, its namespace included.
         robot: the robot's name.
         phase: what the request goes through.
         code: its outcome so far.
@@ -80,16 +79,27 @@ def status_message(
         values: further figures by key.
     """
     pairs = {"phase": phase.name, "code": code.name if code is not None else "", **values}
-    return _array(stamp, f"{name}: plan", robot, _level(code), message, pairs)
+    return _array(stamp, f"{name}: plan", robot, severity_of(code), message, pairs)
 
 
-def health_message(stamp: Time, name: str, robot: str, trouble: str, values: Mapping[str, object]) -> DiagnosticArray:
-    """Make the 1 Hz `/diagnostics` message; `trouble` is empty when all is well."""
-    return _array(stamp, f"{name}: health", robot, DiagnosticStatus.WARN if trouble else DiagnosticStatus.OK, trouble or "ok", values)
+def health_message(
+    stamp: Time, name: str, robot: str, trouble: Sequence[tuple[Severity, str]], values: Mapping[str, object]
+) -> DiagnosticArray:
+    """Make the 1 Hz `/diagnostics` message.
+
+    Args:
+        stamp: now.
+        name: the node's name, its namespace included.
+        robot: the robot's name.
+        trouble: what is wrong, in sentences, and how bad it is; empty when all is well.
+        values: figures by key.
+    """
+    worst = max((severity for severity, _ in trouble), default=Severity.OK)
+    return _array(stamp, f"{name}: health", robot, worst, "; ".join(sentence for _, sentence in trouble) or "ok", values)
 
 
-def _array(stamp: Time, name: str, hardware: str, level: bytes, message: str, values: Mapping[str, object]) -> DiagnosticArray:
-    status = DiagnosticStatus(level=level, name=name, message=message, hardware_id=hardware)
+def _array(stamp: Time, name: str, hardware: str, severity: Severity, message: str, values: Mapping[str, object]) -> DiagnosticArray:
+    status = DiagnosticStatus(level=bytes([severity]), name=name, message=message, hardware_id=hardware)
     status.values = [KeyValue(key=str(key), value=text(value)) for key, value in values.items()]
     array = DiagnosticArray(status=[status])
     array.header.stamp = stamp
@@ -108,7 +118,7 @@ class StatusBoard:
         """Make an empty board and publish IDLE.
 
         Args:
-            name: the node's name.
+            name: the node's name, its namespace included.
             now: the ROS time.
             publish: puts the message on the wire.
         """
@@ -120,6 +130,7 @@ class StatusBoard:
         self._outcomes: dict[int, tuple[Status, str]] = {}
         self.robot = ""
         self.last_message = ""
+        self.last_code: Status | None = None
         self.phase = Phase.IDLE
         self._send(Phase.IDLE, None, Phase.IDLE.value, {"plan_id": 0})
 
@@ -143,7 +154,7 @@ class StatusBoard:
             record.update(values)
             if code is not None:
                 self._outcomes[plan_id] = (code, message or code.message(code.value))
-                self.last_message = self._outcomes[plan_id][1]
+                self.last_code, self.last_message = self._outcomes[plan_id]
             known = self._outcomes.get(plan_id)
             self._send(phase, known[0] if known else None, known[1] if known else phase.value, record)
 
