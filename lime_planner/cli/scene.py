@@ -56,7 +56,7 @@ def add_plant_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--radius", type=float, default=0.28, metavar="M", help="radius of its canopy [m] (default 0.28)")
     where = "foot of its trunk in the frame of the arm's base [m] (default 0.62 0 0)"
     parser.add_argument("--position", nargs=3, type=float, default=(0.62, 0.0, 0.0), metavar=("X", "Y", "Z"), help=where)
-    add_json(parser, "what was grown")
+    add_json(parser, "what was made")
 
 
 def run_plant(args: argparse.Namespace) -> int:

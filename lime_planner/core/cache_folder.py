@@ -52,7 +52,7 @@ def find_cache_folder(environ: Mapping[str, str] = os.environ) -> CacheFolder:
     `LIME_PLANNER_CACHE_DIR` if set, else `$XDG_CACHE_HOME/lime_planner`, else `~/.cache/lime_planner`. What lies there is code that
     will run: a folder of another user, or one that every user may write to, is not taken. In its place, and where it cannot be
     written (a service account without a home, a file system that is read-only), comes a private folder of the system's directory
-    for temporary files; where somebody else holds that name, one for this process alone.
+    for temporary files; where another user holds that name, one for this process alone.
     """
     wanted = _wanted(environ)
     trouble = "there is no home directory" if wanted is None else why_not_usable(wanted)

@@ -41,7 +41,7 @@ def search_tree_of(pipeline: Pipeline, shown: PlanRecord, *, should_stop: Callab
     Args:
         pipeline: of the same arm.
         shown: a plan with a target.
-        should_stop: ends the search early; what has grown until then is returned.
+        should_stop: ends the search early; the tree as it is then is returned.
     """
     result, settings = shown.result, shown.settings
     if shown.target is None or not len(result.waypoints):

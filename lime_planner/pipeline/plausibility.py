@@ -10,7 +10,7 @@ from lime_planner.scene.scene import Scene
 
 _FAR = 10.0  #: times the arm's reach: what is that far away is hardly meant
 _NEAR_SHARE = 0.01  #: of the points that must be within reach, for the rest to be a background
-_UNKNOWN_SHARE = 0.9  #: of labels that nobody named
+_UNKNOWN_SHARE = 0.9  #: of labels that are in no class
 _TURNS_RAD = 4.0 * np.pi  #: no joint starts beyond two turns, but for arms that count theirs
 _UPRIGHT = 0.8  #: cosine of the angle within which a plant's long axis follows a frame's axis
 _SLENDER = 1.5  #: times the spread along the other axes, for a plant to have a long axis

@@ -212,7 +212,7 @@ def _without_metadata(path: Path) -> str:
     if not files:
         return f"{path}: has no metadata.yaml, and no .mcap or .db3 either; name the folder that `ros2 bag record` made"
     return (
-        f"{path}: has no metadata.yaml, as after a crash of its recorder: `ros2 bag reindex {path}` writes it anew, "
+        f"{path}: has no metadata.yaml, as after a crash of its recorder: `ros2 bag reindex {path}` writes it again, "
         f"or name one file alone: {', '.join(files[:5])}"
     )
 
