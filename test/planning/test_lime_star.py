@@ -194,6 +194,39 @@ def test_several_goals_and_the_cheapest(wall: int) -> None:
     assert together.cost <= 1.01 * min(alone)
 
 
+@pytest.mark.parametrize("wall", [2, 5, 9])
+def test_terminal_costs_are_part_of_the_cost(wall: int) -> None:
+    world = random_wall(wall)
+    goals = np.array([(90.0, 50.0), (90.0, 10.0), (90.0, 90.0), (99.0, 5.0)])
+    options = LimeOptions(weight=WEIGHT)
+    alone = np.array([plan_lime(world.space(), world.start, g, options, 1, iterations=3000).cost for g in goals])
+    for dear in range(3):
+        terminal = np.full(4, 40.0)
+        terminal[dear] += 500.0
+        together = plan_lime(world.space(), world.start, goals, options, 1, terminal_costs=terminal, iterations=4000)
+        assert together.path is not None
+        end = int(np.argmin(np.linalg.norm(goals - together.path[-1], axis=1)))
+        assert together.cost == pytest.approx(total(world.space(), together.path, WEIGHT) + terminal[end], rel=1e-9)
+        assert together.cost <= 1.03 * (alone + terminal).min()
+        assert end != dear or (alone + terminal)[dear] <= 1.03 * (alone + terminal).min()
+
+
+def test_terminal_costs_of_zero_change_nothing() -> None:
+    world = random_wall(4)
+    goals, options = np.array([(90.0, 50.0), (90.0, 10.0)]), LimeOptions(weight=WEIGHT)
+    without = plan_lime(world.space(), world.start, goals, options, 3, iterations=1000)
+    given = plan_lime(world.space(), world.start, goals, options, 3, terminal_costs=np.zeros(2), iterations=1000)
+    np.testing.assert_array_equal(given.path, without.path)
+    assert (given.cost, given.states_checked) == (without.cost, without.states_checked)
+
+
+@pytest.mark.parametrize("costs", [[1.0], [1.0, -1.0], [1.0, np.nan], [np.inf, 0.0], [[1.0, 2.0]]])
+def test_malformed_terminal_costs_are_named(costs: Any) -> None:
+    world = random_wall(4)
+    with pytest.raises(ProblemError, match="terminal costs"):
+        plan_lime(world.space(), world.start, [(90.0, 50.0), (90.0, 10.0)], LimeOptions(), 1, terminal_costs=costs, iterations=10)
+
+
 def test_mistakes_are_named() -> None:
     world = wall_g()
     for start, goal, limits, words in (

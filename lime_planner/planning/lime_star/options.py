@@ -36,7 +36,7 @@ class LimeOutcome:
     """What a run gave.
 
     Attributes:
-        path: (M, n) start to goal, None if none was found; cost: its J.
+        path: (M, n) start to goal, None if none was found; cost: its J, the goal's terminal cost included.
         status: SUCCEEDED, or NO_PATH, TIMED_OUT, CANCELLED (also with a path), START_INVALID, GOAL_IN_STEM.
         iterations: configurations sampled, by whatever part.
         states_checked, edges_checked: work done.

@@ -57,11 +57,11 @@ def _draw(space: Any, road: Any, tracks: Any, best: float, least: float, most: f
         start = road.rows[graph.START]
         near, goal = 0, graph.START
         for g in range(1, 1 + road.size[2]):
-            if distance(space, start, road.rows[g]) < best:
+            if distance(space, start, road.rows[g]) + road.terminal[g] < best:
                 near += 1
                 if below(random, near) == 0:
                     goal = g
-        volume = draw_between(space, start, road.rows[goal], best, random, q)
+        volume = draw_between(space, start, road.rows[goal], best - road.terminal[goal], random, q)
         informed = volume > 0.0
         if informed:
             if kind < _INFORMED + (_UNIFORM - _INFORMED) * volume:
@@ -80,7 +80,7 @@ def _draw(space: Any, road: Any, tracks: Any, best: float, least: float, most: f
         t = below(random, tracks.size.shape[0])
         if tracks.size[t] < 2:
             return
-        pick = uniform(random) * tracks.cost[t]
+        pick = uniform(random) * (tracks.cost[t] - tracks.terminal[t])
         i = 0
         while i < tracks.size[t] - 2 and pick >= tracks.segment[t, i]:
             pick -= tracks.segment[t, i]
@@ -101,7 +101,7 @@ def _grow(space: Any, road: Any, tracks: Any, samples: int, best: float, least: 
             _draw(space, road, tracks, best, least, most, random, q)
             ahead = np.inf
             for g in range(1, 1 + road.size[2]):
-                ahead = min(ahead, distance(space, q, road.rows[g]))
+                ahead = min(ahead, distance(space, q, road.rows[g]) + road.terminal[g])
             if inside(space, q) and distance(space, q, road.rows[graph.START]) + ahead < best:
                 leaf = evaluate(space, q)
                 if leaf >= 0.0:
@@ -116,11 +116,12 @@ def plan_lime(
     options: LimeOptions,
     seed: int,
     *,
+    terminal_costs: npt.ArrayLike | None = None,
     iterations: int | None = None,
     should_stop: Callable[[], bool] | None = None,
     deadline_s: float | None = None,
 ) -> LimeOutcome:
-    """Plan from a start to the cheapest of several goals.
+    """Plan from a start to the cheapest of several goals, each with a terminal cost of its own: what comes behind it costs something.
 
     Equal arguments, seed and iteration budget give equal results. The best path found is returned at the end, also after a stop.
 
@@ -129,12 +130,13 @@ def plan_lime(
         start: (n,); goals: (n,) or (G, n), invalid ones are left out.
         options: see `LimeOptions`.
         seed: of the generator.
+        terminal_costs: (G,) finite and not negative, what ending at each goal adds to J [rad]; zeros by default.
         iterations: budget of sampled configurations, None for none.
         should_stop: True ends the search; asked every few milliseconds.
         deadline_s: search time from the call on [s], None for none.
 
     Raises:
-        ProblemError: malformed start or goals, or no end of the search given.
+        ProblemError: malformed start, goals or terminal costs, or no end of the search given.
     """
     began = time.monotonic()  # checks of start and goals and the run's memory are part of what a user waits for
     n = len(space.lower)
@@ -144,6 +146,9 @@ def plan_lime(
         raise ProblemError(f"start needs {n} numbers and goals {n} each, got shapes {q_start.shape} and {q_goals.shape}")
     if not (np.isfinite(q_start).all() and np.isfinite(q_goals).all()):
         raise ProblemError("start or goals have numbers that are not finite")
+    terminal = np.zeros(len(q_goals)) if terminal_costs is None else np.ascontiguousarray(terminal_costs, dtype=np.float64)
+    if terminal.shape != (len(q_goals),) or not (np.isfinite(terminal).all() and (terminal >= 0.0).all()):
+        raise ProblemError(f"{len(q_goals)} goals need as many terminal costs, finite and not negative, got {terminal.tolist()}")
     if iterations is None and deadline_s is None and should_stop is None:
         raise ProblemError("give iterations, deadline_s or should_stop: the search has no end of its own")
     before = np.array(space.counters)
@@ -163,7 +168,7 @@ def plan_lime(
             ended.append(Status.TIMED_OUT)
         return bool(ended)
 
-    run = Run(space, q_start, q_goals[leaf >= 0.0], options, seed, iterations, over, began)
+    run = Run(space, q_start, q_goals[leaf >= 0.0], terminal[leaf >= 0.0], options, seed, iterations, over, began)
     if options.weight > 0.0:  # otherwise leaves are air
         run.start_leaf, run.goal_leaf = float(one(space, q_start)), leaf[leaf >= 0.0]
     _search(run)
@@ -187,7 +192,7 @@ def plan_lime(
 def warm_up(space: Any) -> None:
     """Compile what an easy problem passes by: where a straight line reaches the goal no tree grows."""
     middle = 0.5 * (np.asarray(space.lower) + np.asarray(space.upper))
-    run = Run(space, middle, middle[None], LimeOptions(), 1)
+    run = Run(space, middle, middle[None], np.zeros(1), LimeOptions(), 1)
     run.reach(middle, 1)
     run.start_leaf = 1.0
     run.goal_leaf[0] = 1.0
@@ -202,9 +207,10 @@ def _search(run: Run) -> None:
     for g, intensity in zip(run.goals, run.goal_leaf, strict=True):
         graph.add_vertex(run.space, run.road, g, float(intensity))
     run.road.size[2] = len(run.goals)
-    for g in run.goals:
+    run.road.terminal[1 : 1 + len(run.goals)] = run.terminal
+    for g, terminal in zip(run.goals, run.terminal, strict=True):
         run.path[0], run.path[1] = run.start, g
-        if np.isfinite(line(run.space, run.start, g, run.options.weight, run.best_cost)):
+        if np.isfinite(line(run.space, run.start, g, run.options.weight, run.best_cost - terminal)):
             run.adopt(2)
         if run.over():
             return

@@ -244,7 +244,7 @@ def _insert(space: Any, tracks: Any, t: int, weight: float, least: float, most: 
     m = tracks.size[t]
     if m + 2 > MAX_WAYPOINTS or m < 2:
         return False
-    pick = uniform(random) * tracks.cost[t]
+    pick = uniform(random) * (tracks.cost[t] - tracks.terminal[t])
     i = 0
     while i < m - 2 and pick >= tracks.segment[t, i]:
         pick -= tracks.segment[t, i]

@@ -49,7 +49,8 @@ class Roadmap(NamedTuple):
         rows: (V, n); columns: (n, V) the same for scans; leaf: (V,) intensities.
         ends: (E, 2) int32; length, cost: (E,); known: (E,) uint8.
         first: (V,) head of a vertex's list of half edges, -1; after: (2 E,) next half edge. Half edge 2 e + s leads from ends[e, s].
-        to_come: (V,) cost from the vertex to the nearest goal as found; via: (V,) half edge that leads there, -1.
+        terminal: (V,) what ending at a goal costs; only the goals' places count.
+        to_come: (V,) cost from the vertex over the cheapest goal as found, its terminal cost included; via: (V,) half edge that leads there, -1.
         key, item: the queue: a heap of (estimated total, half edge that leads to the vertex reached last).
         near, near_distance: scratch of a scan.
     """
@@ -64,6 +65,7 @@ class Roadmap(NamedTuple):
     known: UInt8
     first: Int32
     after: Int32
+    terminal: Array
     to_come: Array
     via: Int32
     key: Array
@@ -87,6 +89,7 @@ def new_roadmap(vertices: int, n: int) -> Roadmap:
         np.zeros(edges, np.uint8),
         np.full(vertices, -1, np.int32),
         np.full(2 * edges, -1, np.int32),
+        np.zeros(vertices),
         np.full(vertices, np.inf),
         np.full(vertices, -1, np.int32),
         np.zeros(queue),
@@ -103,7 +106,7 @@ def enlarged(roadmap: Roadmap) -> Roadmap:
     larger.size[:] = roadmap.size
     larger.size[3] = 0
     larger.columns[:, :vertices] = roadmap.columns[:, :vertices]
-    for name in ("rows", "leaf", "first"):
+    for name in ("rows", "leaf", "first", "terminal"):
         getattr(larger, name)[:vertices] = getattr(roadmap, name)[:vertices]
     for name in ("ends", "length", "cost", "known"):
         getattr(larger, name)[:edges] = getattr(roadmap, name)[:edges]
@@ -286,7 +289,7 @@ def begin_search(space: Any, roadmap: Any, weight: float, best: float, balls: An
         roadmap.to_come[v] = np.inf
         roadmap.via[v] = -1
     for g in range(1, 1 + roadmap.size[2]):
-        roadmap.to_come[g] = 0.0
+        roadmap.to_come[g] = roadmap.terminal[g]
     for g in range(1, 1 + roadmap.size[2]):
         _expand(space, roadmap, g, weight, best, balls)
 

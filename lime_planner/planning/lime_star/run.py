@@ -41,7 +41,7 @@ class Run:
     """One search: roadmap, tracks, ways out, generator, clock, limits and best path.
 
     Attributes:
-        goals: (G, n) valid goals; goal_leaf: (G,) leaf intensity there.
+        goals: (G, n) valid goals; terminal: (G,) what ending there adds to J; goal_leaf: (G,) leaf intensity there.
         exits: way out of each goal, the start's in the last place.
         tracks: paths being polished; the last place is for loading.
         idle: (T,) whether a track's last polishing brought next to nothing; halved: (T,) times that its tolerance was halved.
@@ -56,6 +56,7 @@ class Run:
         space: Any,
         start: Array,
         goals: Array,
+        terminal: Array,
         options: LimeOptions,
         seed: int,
         iterations: int | None = None,
@@ -65,7 +66,7 @@ class Run:
         """Prepare a run.
 
         Args:
-            space, start, goals, options, seed: as for `plan_lime`, everything valid.
+            space, start, goals, terminal, options, seed: as for `plan_lime`, everything valid.
             iterations: budget, None for none.
             over: tells whether the run has ended.
             began: reading of `time.monotonic` from which times are counted [s], None for now.
@@ -73,7 +74,7 @@ class Run:
         self.began = time.monotonic() if began is None else began
         n = len(start)
         self.space, self.start, self.options = space, start, options
-        self.goals = goals
+        self.goals, self.terminal = goals, terminal
         self.goal_leaf = np.zeros(len(goals))
         self.start_leaf = 0.0
         self.leafless = space._replace(own_leaves=False) if hasattr(space, "own_leaves") else space
@@ -130,7 +131,8 @@ class Run:
         tracks, spare = self.tracks, self.options.tracks
         worst = int(np.argmax(tracks.cost[:-1]))
         limit = math.inf if instead else float(tracks.cost[worst]) * (_HOPELESS if trials else 1.0)
-        if not load_track(self.space, tracks, spare, self.path, count, self.options.weight, self.most / 4, limit):
+        terminal = float(self.terminal[self.goal_at(self.path[count - 1])])
+        if not load_track(self.space, tracks, spare, self.path, count, terminal, self.options.weight, self.most / 4, limit):
             return -1
         self.halved[spare] = 0.0
         self.keep(spare)
@@ -169,8 +171,11 @@ class Run:
 
     def goal_vertex(self, t: int) -> int:
         """The roadmap's vertex of the goal that track t ends at."""
-        end = self.tracks.points[t, self.tracks.size[t] - 1]
-        return 1 + int(np.argmin(((self.goals - end) ** 2).sum(axis=1)))
+        return 1 + self.goal_at(self.tracks.points[t, self.tracks.size[t] - 1])
+
+    def goal_at(self, q: Array) -> int:
+        """Which goal is at q."""
+        return int(np.argmin(((self.goals - q) ** 2).sum(axis=1)))
 
     def search(self, bound: float, closed: Array, edges: int | None = None) -> int:
         """Search the roadmap for a path cheaper than `bound`, around closed balls; the number of waypoints in `self.path`, or 0.
@@ -238,7 +243,8 @@ class Run:
                 if self.over():
                     return
                 self._improve(int(g), trials)
-            alive = alive[np.argsort(self.exits.cost[alive], kind="stable")][: max(1, len(alive) // 2)]
+            costs = self.exits.cost[alive] + self.terminal[alive]
+            alive = alive[np.argsort(costs, kind="stable")][: max(1, len(alive) // 2)]
             trials *= 2
             # The best so far at once: a search that ends now should have something of it.
             if len(alive) and self.least_cost(int(alive[0])) < self.best_cost and not self.over():
@@ -259,7 +265,7 @@ class Run:
     def least_cost(self, g: int) -> float:
         """What a path over the known ways out of start and goal g costs at least."""
         (a, first), (b, last) = self.out(len(self.goals)), self.out(g)
-        return first + last + float(np.linalg.norm(a - b))
+        return first + last + float(np.linalg.norm(a - b)) + float(self.terminal[g])
 
     def least_costs(self) -> Array:
         """The same for every goal, (G,)."""
@@ -300,7 +306,7 @@ class Run:
         again = int(self.joins[g])
         self.joins[g] += 1
         samples = self.options.connect_samples * min(again + 1, _LONGEST) // 2
-        count = self._from_best_path(end, cost)
+        count = self._from_best_path(end, cost + float(self.terminal[g]))
         for solid in (True, False)[: 2 - min(again, 1)] if not count else ():
             count = self.connect(self.space if solid else self.leafless, root, end, samples, solid=solid)
             if count:
@@ -326,7 +332,10 @@ class Run:
         return count
 
     def _from_best_path(self, end: Array, cost: float) -> int:
-        """Reach the end of a way out straight from a waypoint of the best path; the number of waypoints in `self.path`, or 0."""
+        """Reach the end of a way out straight from a waypoint of the best path; the number of waypoints in `self.path`, or 0.
+
+        `cost` is what comes behind that end: the way out and the goal's terminal cost.
+        """
         path = self.start[None] if self.best_path is None else self.best_path
         to_come = np.concatenate([[0.0], np.cumsum(self.best_segments)])
         best, count = self.best_cost - cost, 0

@@ -21,7 +21,7 @@ class Tracks(NamedTuple):
         points: (T, W, n) waypoints; size: (T,) how many, 0 for an empty track.
         segment: (T, W) exact cost of the edge to the next waypoint.
         step: (T, W) standard deviation of the next move of a waypoint.
-        cost: (T,) sums of the segments, inf for an empty track.
+        terminal: (T,) what the goal at its end adds; cost: (T,) sums of that and the segments, inf for an empty track.
         trial, second: (n,) scratch; moved: (W, n) and price: (W,) scratch, a path as it would be and its segments.
     """
 
@@ -29,6 +29,7 @@ class Tracks(NamedTuple):
     size: Int64
     segment: Array
     step: Array
+    terminal: Array
     cost: Array
     trial: Array
     second: Array
@@ -43,6 +44,7 @@ def new_tracks(tracks: int, n: int) -> Tracks:
         np.zeros(tracks, np.int64),
         np.zeros((tracks, MAX_WAYPOINTS)),
         np.zeros((tracks, MAX_WAYPOINTS)),
+        np.zeros(tracks),
         np.full(tracks, np.inf),
         np.zeros(n),
         np.zeros(n),
@@ -62,8 +64,8 @@ def cost_between(tracks: Any, t: int, first: int, last: int) -> float:
 
 @kernel
 def sum_cost(tracks: Any, t: int) -> None:
-    """Add a track's segments up."""
-    tracks.cost[t] = cost_between(tracks, t, 0, tracks.size[t] - 1)
+    """Add a track's segments and its goal's terminal cost up."""
+    tracks.cost[t] = cost_between(tracks, t, 0, tracks.size[t] - 1) + tracks.terminal[t]
 
 
 @kernel
@@ -74,9 +76,14 @@ def empty_track(tracks: Any, t: int) -> None:
 
 
 @kernel
-def load_track(space: Any, tracks: Any, t: int, path: Any, count: int, weight: float, step: float, bound: float) -> bool:
-    """Put a path (M, n) of valid edges into track t; its cost is evaluated. False, and the track is empty, above `bound`."""
-    total = 0.0
+def load_track(
+    space: Any, tracks: Any, t: int, path: Any, count: int, terminal: float, weight: float, step: float, bound: float
+) -> bool:
+    """Put a path (M, n) of valid edges into track t; its cost is evaluated and the goal's terminal cost added.
+
+    False, and the track is empty, above `bound`.
+    """
+    total = terminal
     empty_track(tracks, t)
     for i in range(count - 1):
         c = edge(space, path[i], path[i + 1], weight, bound - total)
@@ -88,6 +95,7 @@ def load_track(space: Any, tracks: Any, t: int, path: Any, count: int, weight: f
         tracks.points[t, i] = path[i]
         tracks.step[t, i] = step
     tracks.size[t] = count
+    tracks.terminal[t] = terminal
     tracks.cost[t] = total
     return True
 
@@ -120,6 +128,7 @@ def copy_track(tracks: Any, t: int, to: int) -> None:
         tracks.segment[to, i] = tracks.segment[t, i]
         tracks.step[to, i] = tracks.step[t, i]
     tracks.size[to] = tracks.size[t]
+    tracks.terminal[to] = tracks.terminal[t]
     tracks.cost[to] = tracks.cost[t]
 
 
