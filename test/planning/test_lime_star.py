@@ -22,6 +22,7 @@ from lime_planner.experiments.wall.optimum import plane_optimum
 from lime_planner.pipeline.figures import sample_path
 from lime_planner.planning.lime_star.options import LimeOptions, LimeOutcome
 from lime_planner.planning.lime_star.planner import plan_lime, warm_up
+from lime_planner.planning.lime_star.run import twins
 from lime_planner.planning.space import edge, evaluate
 from lime_planner.planning.spaces.plane import PlaneWorld, random_wall, wall_g
 from lime_planner.robot.model import home
@@ -225,6 +226,13 @@ def test_malformed_terminal_costs_are_named(costs: Any) -> None:
     world = random_wall(4)
     with pytest.raises(ProblemError, match="terminal costs"):
         plan_lime(world.space(), world.start, [(90.0, 50.0), (90.0, 10.0)], LimeOptions(), 1, terminal_costs=costs, iterations=10)
+
+
+def test_goals_a_whole_turn_apart_are_told_from_others() -> None:
+    goal = np.array([0.3, -1.0, 2.0])
+    turn = 2.0 * np.pi
+    goals = np.array([goal, goal + [turn, 0.0, 0.0], goal + 0.1, goal + [0.1 - turn, 0.1, 0.1 + 2.0 * turn], goal + [0.5 * turn, 0.0, 0.0]])
+    np.testing.assert_array_equal(twins(goals), [0, 0, 2, 2, 4])
 
 
 def test_mistakes_are_named() -> None:

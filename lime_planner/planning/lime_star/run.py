@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from lime_planner.core.types import Array
+from lime_planner.core.types import Array, Int64
 from lime_planner.planning.lime_star import connect as trees
 from lime_planner.planning.lime_star import leaf_exits
 from lime_planner.planning.lime_star import polish as local
@@ -17,7 +17,7 @@ from lime_planner.planning.lime_star import roadmap as graph
 from lime_planner.planning.lime_star.options import LimeOptions
 from lime_planner.planning.lime_star.tracks import MAX_WAYPOINTS, copy_track, empty_track, load_track, near_tracks, new_tracks
 from lime_planner.planning.sampling import random_state
-from lime_planner.planning.space import line
+from lime_planner.planning.space import line, one
 
 _SLICE_S = 0.004
 _PROMISING = 0.95  # share of the best cost below which a way out that was not reached is tried again
@@ -36,6 +36,15 @@ _TOLERANCE, _FINER = 3e-4, 8  # of the polishing (`polish`), and how often it is
 _SAME, _COPIES = 10.0, 3  # least steps between two paths that are nearly the same, and how many of these may be tracks
 _TRIED = 6  # waypoints of the best path from which the end of a way out is tried to be reached
 
+_TURN_RAD, _SAME_TURN_RAD = 2.0 * np.pi, 1e-6
+
+
+def twins(goals: Array) -> Int64:
+    """Return, for each of the goals (G, n), the first one that differs from it by whole turns of its joints only, (G,)."""
+    turns = (goals[:, None, :] - goals[None, :, :]) / _TURN_RAD
+    alike = (np.abs(turns - np.rint(turns)) < _SAME_TURN_RAD).all(axis=2)
+    return np.asarray(alike.argmax(axis=1), dtype=np.int64)
+
 
 class Run:
     """One search: roadmap, tracks, ways out, generator, clock, limits and best path.
@@ -43,6 +52,7 @@ class Run:
     Attributes:
         goals: (G, n) valid goals; terminal: (G,) what ending there adds to J; goal_leaf: (G,) leaf intensity there.
         exits: way out of each goal, the start's in the last place.
+        twin: (G,) the first goal that differs by whole turns only: leaves and stems are the same there, and ways out are shared.
         tracks: paths being polished; the last place is for loading.
         idle: (T,) whether a track's last polishing brought next to nothing; halved: (T,) times that its tolerance was halved.
         joins: (G,) times that a goal's way out was tried to be reached.
@@ -88,6 +98,7 @@ class Run:
         self.joins = np.zeros(len(goals))
         self.idle, self.halved = np.zeros(options.tracks + 1, dtype=bool), np.zeros(options.tracks + 1)
         self.exits = leaf_exits.new_exits(len(goals) + 1, n, self.least)
+        self.twin = twins(goals)
         self.from_start, self.from_goal = trees.new_tree(n), trees.new_tree(n)
         self.path, self.trial, self.q = np.zeros((MAX_WAYPOINTS, n)), np.zeros((2, n)), np.zeros(n)
         self.iterations = self.tries = 0
@@ -236,7 +247,7 @@ class Run:
         """Find ways out of start and goals, with most trials for the goals that turn out cheap (successive halving)."""
         if self.start_leaf > 0.0:
             self._improve(len(self.goals), _FIRST_TRIALS * _STAGES)
-        alive = np.flatnonzero(self.goal_leaf > 0.0)
+        alive = np.unique(self.twin[self.goal_leaf > 0.0])
         trials = _FIRST_TRIALS
         for _ in range(_STAGES):
             for g in alive:
@@ -247,8 +258,11 @@ class Run:
             alive = alive[np.argsort(costs, kind="stable")][: max(1, len(alive) // 2)]
             trials *= 2
             # The best so far at once: a search that ends now should have something of it.
-            if len(alive) and self.least_cost(int(alive[0])) < self.best_cost and not self.over():
-                self._join(int(alive[0]))
+            if len(alive):
+                alike = np.flatnonzero(self.twin == alive[0])
+                best = int(alike[np.argmin([self.least_cost(int(g)) for g in alike])])
+                if self.least_cost(best) < self.best_cost and not self.over():
+                    self._join(best)
 
     def _improve(self, g: int, trials: int) -> bool:
         """Try more ways out of one configuration, in slices: a stop is heard in between."""
@@ -260,7 +274,21 @@ class Run:
             )
             self.iterations += share
             trials -= share
+        if better and g < len(self.goals):
+            self._share(g)
         return better
+
+    def _share(self, g: int) -> None:
+        """Take the way out of goal g for the goals that differ from it by whole turns, where it is one there too."""
+        for other in np.flatnonzero(self.twin == self.twin[g]):
+            if other == g:
+                continue
+            end = self.exits.ends[g] + (self.goals[other] - self.goals[g])
+            if (end < self.space.lower).any() or (end > self.space.upper).any() or one(self.space, end) != 0.0:
+                continue
+            cost = line(self.space, self.goals[other], end, self.options.weight, float(self.exits.cost[other]))
+            if cost < self.exits.cost[other]:
+                self.exits.ends[other], self.exits.cost[other] = end, cost
 
     def least_cost(self, g: int) -> float:
         """What a path over the known ways out of start and goal g costs at least."""
@@ -284,9 +312,13 @@ class Run:
         """Go on with the ways out of the cheapest goals, and use what was found."""
         costs = self.least_costs()
         joined = False
-        for g in np.argsort(costs, kind="stable")[:goals]:
-            if self.over():
-                return
+        looked: set[int] = set()
+        for g in np.argsort(costs, kind="stable"):
+            if len(looked) == goals or self.over():
+                break
+            if self.twin[g] in looked:
+                continue
+            looked.add(int(self.twin[g]))
             if self.goal_leaf[g] > 0.0 and self._improve(int(g), trials) and self.least_cost(int(g)) < self.best_cost:
                 self._join(int(g))
                 joined = True
