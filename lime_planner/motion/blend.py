@@ -85,12 +85,12 @@ class BlendedPath:
         dof: number of joints; part of the interface that toppra asks for.
     """
 
-    def __init__(self, waypoints: Array, tolerance: float) -> None:
+    def __init__(self, waypoints: Array, tolerance: float | Array) -> None:
         """Lay the pieces.
 
         Args:
             waypoints: (M, n), M >= 2, no two neighbours equal [rad].
-            tolerance: largest distance between the curve and its corner [rad], > 0.
+            tolerance: largest distance between the curve and its corner [rad], > 0; one number, or one for each waypoint (M,).
         """
         steps = np.diff(waypoints, axis=0)
         lengths = np.linalg.norm(steps, axis=1)
@@ -98,7 +98,8 @@ class BlendedPath:
         # |w - u| = 2 sin(θ/2), without the loss of digits of an arc cosine
         half_sines = 0.5 * np.linalg.norm(np.diff(directions, axis=0), axis=1)
         with np.errstate(divide="ignore"):
-            reach = np.minimum(tolerance / (_MIDDLE * half_sines), 0.5 * np.minimum(lengths[:-1], lengths[1:]))
+            at_corners = np.broadcast_to(tolerance, len(waypoints))[1:-1]
+            reach = np.minimum(at_corners / (_MIDDLE * half_sines), 0.5 * np.minimum(lengths[:-1], lengths[1:]))
         reach[half_sines < 1e-12] = 0.0
         corners = np.concatenate([[0.0], reach, [0.0]])
         at = np.concatenate([[0.0], np.cumsum(lengths)])

@@ -15,6 +15,7 @@ is slowed as well where the grid is too coarse for it: the cubics must stay at t
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -53,7 +54,7 @@ def time_path(
     dt_s: float = 0.02,
     velocity_scaling: float = 1.0,
     acceleration_scaling: float = 1.0,
-    corner_tolerance_rad: float = 0.01,
+    corner_tolerance_rad: npt.ArrayLike = 0.01,
     speed_scale: SpeedScale | None = None,
 ) -> Trajectory:
     """Time a path.
@@ -67,7 +68,8 @@ def time_path(
         velocity_scaling: part of the velocity limits to use, in (0, 1].
         acceleration_scaling: part of the acceleration limits to use, in (0, 1].
         corner_tolerance_rad: largest distance in joint space (Euclidean, hence of any joint) between the motion and the polyline,
-            either way [rad], > 0.
+            either way [rad], > 0; one number, or one for each waypoint (M,): a part of the path between two waypoints has the
+            smaller one of theirs.
         speed_scale: part of the velocity limits to use along the path, in (0, 1]: called with an array of lengths along the
             polyline from its start [rad] and returning an array of that shape. Kept at every length, not only at the waypoints.
 
@@ -86,20 +88,43 @@ def time_path(
         raise ProblemError(f"waypoint {int(np.argmin(np.isfinite(corners).all(axis=1)))} is not finite")
     if not (np.isfinite(dt_s) and dt_s >= MINIMUM_DT_S):
         raise ProblemError(f"dt_s must be at least {MINIMUM_DT_S} s, got {dt_s}")
-    if not (np.isfinite(corner_tolerance_rad) and corner_tolerance_rad > 0.0):
-        raise ProblemError(f"corner_tolerance_rad must be above 0, got {corner_tolerance_rad}")
+    tolerances = np.array(corner_tolerance_rad, dtype=np.float64)
+    if tolerances.shape not in ((), (len(corners),)) or not (np.isfinite(tolerances).all() and (tolerances > 0.0).all()):
+        raise ProblemError(f"corner_tolerance_rad must be above 0, one number or one for each waypoint, got {tolerances.tolist()}")
+    tolerances = np.broadcast_to(tolerances, len(corners))
     velocities = _limits("velocity", velocity_limits, velocity_scaling, names)
     accelerations = _limits("acceleration", acceleration_limits, acceleration_scaling, names)
-    kept, deviation = thin(corners, corner_tolerance_rad / 2.0)
+    kept, deviations = _thin_parts(corners, tolerances)
     chosen = _apart(corners, kept)
     if len(chosen) < 2:
         still = np.stack([corners[0], corners[-1]])
         return Trajectory(names, dt_s, still, np.zeros_like(still))
-    path = BlendedPath(corners[chosen], (1.0 - _CUBIC_SHARE) * corner_tolerance_rad - deviation)
+    path = BlendedPath(corners[chosen], ((1.0 - _CUBIC_SHARE) * tolerances - deviations)[chosen])
     # The curve's coordinate is the length along the chosen waypoints; callers count along the given ones.
     scale = None if speed_scale is None else _along(speed_scale, _lengths(corners[chosen]), _lengths(corners)[chosen])
-    run = _Run(path, names, dt_s, velocities, accelerations, _CUBIC_SHARE * corner_tolerance_rad, scale)
+    run = _Run(path, names, dt_s, velocities, accelerations, _CUBIC_SHARE * float(tolerances.max()), scale)
     return run.trajectory(corners[0], corners[-1])
+
+
+def _thin_parts(corners: Array, tolerances: Array) -> tuple[Int64, Array]:
+    """Leave waypoints out within half their tolerance, each part of one tolerance by itself.
+
+    Returns:
+        The indices kept, and for every waypoint (M,) how far the parts that it belongs to deviate at most [rad].
+    """
+    between = np.minimum(tolerances[1:], tolerances[:-1])
+    borders = [0, *(np.flatnonzero(np.diff(between)) + 1).tolist(), len(corners) - 1]
+    kept: list[int] = [0]
+    deviations = np.zeros(len(corners))
+    for first, last in itertools.pairwise(borders):
+        if last > first:
+            part, deviation = thin(corners[first : last + 1], float(between[first]) / 2.0)
+            kept += [first + int(i) for i in part[1:]]
+            deviations[first : last + 1] = np.maximum(deviations[first : last + 1], deviation)
+    # A corner between two parts turns within the smaller tolerance; its own waypoint is kept.
+    for border in borders[1:-1]:
+        deviations[border] = 0.0
+    return np.array(kept, dtype=np.int64), deviations
 
 
 def _limits(kind: str, limits: npt.ArrayLike, scaling: float, names: tuple[str, ...]) -> Array:
