@@ -12,11 +12,12 @@ from typing import Any
 import numpy.typing as npt
 
 from lime_planner.core.errors import ParameterError, ProblemError, SceneError
-from lime_planner.core.geometry import pose_to_matrix
 from lime_planner.core.parameters import NODE_PARAMETERS, settings_from
-from lime_planner.core.validation import floats
+from lime_planner.core.types import Array
 from lime_planner.pipeline import Pipeline, PlanResult
-from lime_planner.pipeline.context import checked_deadline, checked_start, checked_target, never
+from lime_planner.pipeline.context import checked_deadline, checked_start, never
+from lime_planner.pipeline.scene_targets import fruit_targets, own_target, plan_first
+from lime_planner.pipeline.targets import Target, candidates_target, target_of
 from lime_planner.robot.model import Robot
 from lime_planner.scene.scene import Scene
 
@@ -35,7 +36,9 @@ def plan(
     scene: Scene,
     robot: Robot,
     *,
-    target: npt.ArrayLike | None = None,
+    target: Target | npt.ArrayLike | None = None,
+    fruit: int | str | npt.ArrayLike | None = None,
+    candidates: npt.ArrayLike | None = None,
     start: npt.ArrayLike | None = None,
     should_stop: Callable[[], bool] = never,
     deadline_s: float | None = None,
@@ -49,8 +52,12 @@ def plan(
     Args:
         scene: what stands in front of the arm, in the arm's planning frame.
         robot: the arm.
-        target: pose of the tool at the fruit in the planning frame, as (7,) x y z qx qy qz qw or as a (4, 4) matrix; the
-            scene's own by default.
+        target: pose of the tool at the fruit in the planning frame, as (7,) x y z qx qy qz qw or as a (4, 4) matrix, with the freedom
+            that `grasp_freedom` names; three numbers are the centre of a fruit, whose grasp the planner chooses. By default what
+            the scene is about: its target's fruit, else its target pose.
+        fruit: instead of a target: the number of one of the scene's fruits, `nearest`, `any` (the first that can be reached,
+            nearest first), or a centre (3,) [m]. The planner chooses how to grasp it.
+        candidates: instead of a target: (P, 7) or (P, 4, 4) poses of the tool, any of which will do; at most 2,000.
         start: (n,) joint angles [rad], turns kept; the arm's ready configuration by default.
         should_stop: True cancels; asked every few milliseconds.
         deadline_s: wall time from now for the whole plan; by default the search has `time_budget_s` and the rest what it needs.
@@ -63,7 +70,7 @@ def plan(
     Raises:
         SceneError: the scene is in another frame than the arm's, or no target is known.
         ParameterError: an unknown parameter, or a value out of range.
-        ProblemError: a target that is no pose, a start of the wrong size, or a deadline that is no time.
+        ProblemError: a target that is none, or more than one, a start of the wrong size, or a deadline that is no time.
     """
     for name in parameters:
         if name in NODE_PARAMETERS:
@@ -76,19 +83,40 @@ def plan(
             f"the scene is in the frame {scene.frame_id!r} and the arm plans in {robot.planning_frame!r}; "
             "if they are the same, set it with dataclasses.replace(scene, frame_id=...)"
         )
-    goal = scene.target_pose if target is None else target
-    if goal is None:
-        raise SceneError("the scene has no target_pose; give one: target=(x, y, z, qx, qy, qz, qw)")
-    pose = floats("target", goal)
-    try:
-        T_base_tool = checked_target(pose) if pose.shape == (4, 4) else pose_to_matrix(pose)
-    except ProblemError as error:
-        raise ProblemError(f"target: {error}") from None
+    if sum(given is not None for given in (target, fruit, candidates)) > 1:
+        raise ProblemError("target, fruit and candidates say what is to be reached; give one of them")
     q_start = robot.home if start is None else checked_start(robot, start)
     checked_deadline(deadline_s)  # all before the kernels are loaded, which takes seconds
+    targets = _targets(scene, target, fruit, candidates, settings.grasp_freedom, robot.forward(q_start)[:3, 3])
     pipeline, lock = _warm_pipeline(robot)
     with lock:
-        return pipeline.plan(scene, T_base_tool, q_start, settings, should_stop=should_stop, deadline_s=deadline_s, seed=settings.seed)
+        return plan_first(
+            targets,
+            lambda one: pipeline.plan(scene, one, q_start, settings, should_stop=should_stop, deadline_s=deadline_s, seed=settings.seed),
+        )
+
+
+def _targets(
+    scene: Scene,
+    target: Target | npt.ArrayLike | None,
+    fruit: int | str | npt.ArrayLike | None,
+    candidates: npt.ArrayLike | None,
+    freedom: str,
+    tool: Array,
+) -> list[Target]:
+    if fruit is not None:
+        return fruit_targets(scene, fruit, tool)
+    if candidates is not None:
+        return [candidates_target(candidates)]
+    if target is not None:
+        try:
+            return [target_of(target, freedom)]
+        except ProblemError as error:
+            raise ProblemError(f"target: {error}") from None
+    own = own_target(scene, freedom, tool)
+    if own is None:
+        raise SceneError("the scene has no target_pose; give one: target=(x, y, z, qx, qy, qz, qw), or a fruit: fruit=(x, y, z)")
+    return [own]
 
 
 def draw(result: PlanResult, scene: Scene, robot: Robot, path: str | os.PathLike[str]) -> Path:

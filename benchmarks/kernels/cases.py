@@ -21,6 +21,7 @@ from lime_planner.core.planners import DEFAULT_PLANNER
 from lime_planner.core.types import Array
 from lime_planner.experiments.problems import Problem, ProblemSpec, SceneSpec, build_problem, pipeline_of, scene_of
 from lime_planner.pipeline.obstacles import prepare
+from lime_planner.pipeline.spots import spot_at
 from lime_planner.planning.rrt_star.planner import plan_paper
 from lime_planner.robot.kinematics import forward_kinematics
 from lime_planner.scene.scene import Scene
@@ -174,7 +175,7 @@ class Bench:
             repeat(
                 "obstacles",
                 "a new scene, all in all",
-                lambda: prepare(obstacles.robot, pipeline.shapes, scene, target, settings),
+                lambda: prepare(obstacles.robot, pipeline.shapes, scene, spot_at(target), settings),
                 samples=max(3, self.repeats // 5),
                 note="selected, thinned, fields and hashes",
             ),

@@ -110,6 +110,8 @@ def read_parameters(args: argparse.Namespace) -> dict[str, Any]:
     for name in ("planner", "iterations", "seed"):
         if getattr(args, name) is not None:
             values[name] = getattr(args, name)
+    if getattr(args, "freedom", None) is not None:
+        values["grasp_freedom"] = args.freedom
     if args.time is not None:
         values["time_budget_s"], values["iterations"] = args.time, 0
     used = (*LABEL_PARAMETERS, *(OF_RECORDINGS if getattr(args, "bag", None) is not None else ()))

@@ -22,6 +22,7 @@ from lime_planner.cli.arguments import (
     read_scene,
     topics_of,
 )
+from lime_planner.cli.grasp_targets import add_fruit_options, check_together, targets_of
 from lime_planner.core.errors import ParameterError, UsageError
 from lime_planner.core.parameters import PARAMETERS, Settings, settings_from
 from lime_planner.core.planners import PLANNERS
@@ -35,15 +36,18 @@ if TYPE_CHECKING:
 _EPILOG = """\
 SCENE is an .npz with points (N, 3) [m] and labels (0 leaf, 1 stem, 2 fruit), or
 a PLY or PCD file with an integer field `label`, z up, in the frame of the arm's
-base. Its target_pose is used unless --target gives another one; +z of the tool
-points out of the palm. Leaves cost, stems are never touched. What
+base. What it is about is reached: the fruit at its target, grasped as is best,
+else its target_pose; --fruit, --target and --candidates say otherwise. +z of
+the tool points out of the palm. Leaves cost, stems are never touched. What
 `lime-planner record` wrote also says where the arm starts; a recording (--bag)
 is planned on as it is, with the topics that the options name.
 
 examples:
   lime-planner plan plant.npz
   lime-planner plan plant.npz --time 2 --picture plan.png --json plan.json
-  lime-planner plan scan.ply --offset 0.55 0 0.05 \\
+  lime-planner plan plant.npz --fruit any
+  lime-planner plan scan.ply --offset 0.55 0 0.05 --target 0.5 0.1 0.4
+  lime-planner plan scan.ply --offset 0.55 0 0.05 --freedom roll \\
       --target 0.5 0.1 0.4 0 0.7071 0 0.7071
   lime-planner plan plant.npz --planner apf_rrt_star --iterations 1500 --seed 1
   lime-planner plan plant.npz --set leaf_policy=solid --set stem_margin_m=0.01
@@ -62,8 +66,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     from lime_planner.cli.json_output import add_json
 
     parser.add_argument("scene", metavar="SCENE", type=Path, nargs="?", help="scene file: .npz, .ply or .pcd")
-    target = "pose of the tool at the fruit [m, -]: X Y Z QX QY QZ QW, or with --bag its topic; default: the scene's"
+    target = "centre of a fruit X Y Z [m], or pose of the tool there X Y Z QX QY QZ QW, or with --bag its topic; default: the scene's"
     parser.add_argument("--target", nargs="+", type=_number_or_word, metavar="X", help=target)
+    add_fruit_options(parser)
     start = "joint angles at the start [rad]; default: the recorded ones, else the arm's home"
     parser.add_argument("--start", nargs="+", type=float, metavar="Q", help=start)
     parser.add_argument("--planner", choices=PLANNERS, metavar="NAME", help=f"which search: {', '.join(PLANNERS)}")
@@ -94,7 +99,7 @@ def _sort_arguments(args: argparse.Namespace) -> None:
         UsageError: neither or both of scene and recording, or options that belong to the other one.
     """
     words = args.target or []
-    if len(words) == 8 and args.scene is None and isinstance(words[-1], str):  # `--target X Y Z QX QY QZ QW SCENE`
+    if len(words) in (4, 8) and args.scene is None and isinstance(words[-1], str):  # `--target X Y Z QX QY QZ QW SCENE`
         args.scene, args.target, words = Path(words[-1]), words[:-1], words[:-1]
     args.topics = topics_of(args)
     if args.bag is None:
@@ -113,8 +118,10 @@ def _sort_arguments(args: argparse.Namespace) -> None:
         if args.bag is None:
             raise UsageError(f"--target {words[0]} is a topic; name the recording with --bag, or give 7 numbers")
         args.topics["grasp_target"], args.target = words[0], None
-    elif words and (len(words) != 7 or any(isinstance(word, str) for word in words)):
-        raise UsageError(f"--target needs 7 numbers x y z qx qy qz qw, or with --bag a topic; got {' '.join(map(str, words))}")
+    elif words and (len(words) not in (3, 7) or any(isinstance(word, str) for word in words)):
+        needs = "3 numbers x y z (a fruit), 7 numbers x y z qx qy qz qw (a pose), or with --bag a topic"
+        raise UsageError(f"--target needs {needs}; got {' '.join(map(str, words))}")
+    check_together(args)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -160,31 +167,30 @@ def _start(args: argparse.Namespace, robot: Robot, recorded: Start | None) -> An
 
 def plan_in(scene: Scene, robot: Robot, settings: Settings, args: argparse.Namespace, start: Start | None = None) -> int:
     """Plan in a loaded scene and report; `start` is where the arm was when the scene was recorded."""
-    import numpy as np
-
-    from lime_planner.core.geometry import pose_to_matrix
     from lime_planner.core.status import Status
     from lime_planner.output.console import working
     from lime_planner.pipeline import Pipeline
+    from lime_planner.pipeline.scene_targets import plan_first
 
     for note in scene.notes:
         print(f"warning: {note}", file=sys.stderr)
     q_start = _start(args, robot, start)
-    target = scene.target_pose if args.target is None else np.asarray(args.target)
-    if target is None:
+    targets = targets_of(args, scene, settings, robot.forward(q_start)[:3, 3])
+    if not targets:
         return _refuse(args, Status.NO_TARGET.name, Status.NO_TARGET.message(f"{args.scene} has no target_pose; give one with --target"))
     if scene.frame_id != robot.planning_frame:
         frames = f"the scene is in the frame {scene.frame_id!r} and the arm plans in {robot.planning_frame!r}"
         sentence = f"{frames}; without ROS no transform between them is known"
         return _refuse(args, Status.TF_ERROR.name, Status.TF_ERROR.message(sentence))
-    T_base_tool = pose_to_matrix(target)
     should_stop = _stopped_by_signal()
     pipeline = Pipeline(robot)
     with working("compiling (minutes the first time ever, a second or two later)"):
         pipeline.warm_up()  # compiling must not eat the time budget
     with working("planning", seconds=None if settings.iterations else settings.time_budget_s):
-        result = pipeline.plan(scene, T_base_tool, q_start, settings, should_stop=should_stop, seed=settings.seed)
-    return _report(result, scene, robot, target, args)
+        result = plan_first(
+            targets, lambda target: pipeline.plan(scene, target, q_start, settings, should_stop=should_stop, seed=settings.seed)
+        )
+    return _report(result, scene, robot, args)
 
 
 def _stopped_by_signal() -> Callable[[], bool]:
@@ -213,28 +219,29 @@ def _refuse(args: argparse.Namespace, code: str, message: str) -> int:
     return 1
 
 
-def _provenance(args: argparse.Namespace, target: Any) -> dict[str, Any]:
-    """Return what it takes to show a plan again: the scene and how it was placed, the target, the parameters that were set."""
+def _provenance(args: argparse.Namespace) -> dict[str, Any]:
+    """Return what it takes to show a plan again: the scene and how it was placed, and the parameters that were set."""
     values = read_parameters(args)
     placement = {"scale": args.scale, "offset": args.offset, **{name: values[name] for name in LABEL_PARAMETERS if name in values}}
     parameters = {name: value for name, value in values.items() if name in PARAMETERS}
-    return {"scene": str(args.scene), "placement": placement, "target_pose": [float(v) for v in target], "parameters": parameters}
+    return {"scene": str(args.scene), "placement": placement, "parameters": parameters}
 
 
-def _report(result: PlanResult, scene: Scene, robot: Robot, target: Any, args: argparse.Namespace) -> int:
+def _report(result: PlanResult, scene: Scene, robot: Robot, args: argparse.Namespace) -> int:
     from lime_planner.cli.json_output import emit_json, is_stdout
     from lime_planner.core.geometry import quaternion_doubt
     from lime_planner.core.status import Status
     from lime_planner.output.console import print_plans, warn
 
     figures = result.figures()
-    figures["warnings"] += [sentence for sentence in (quaternion_doubt(target),) if sentence]
+    given = args.target if args.target is not None and len(args.target) == 7 else None
+    figures["warnings"] += [sentence for sentence in (given and quaternion_doubt(given),) if sentence]
     for sentence in figures["warnings"]:
         warn(sentence)
     quiet = is_stdout(args.json)
     if args.json is not None:
         file = args.json
-        emit_json(file, {**figures, **result.origin(), **_provenance(args, target)})
+        emit_json(file, {**figures, **result.origin(), **_provenance(args)})
         args.json = None  # a picture that cannot be drawn now changes nothing about the plan
         if not quiet:
             print(f"figures: {file}")

@@ -81,6 +81,7 @@ class ExactChecker:
         workspace_box: npt.ArrayLike | None = None,
         exclusion_centre: npt.ArrayLike | None = None,
         exclusion_radius_m: float = 0.06,
+        exclusion_heights_m: tuple[float, float] = (0.0, 0.0),
         approach_zone_m: float = 0.10,
     ) -> None:
         """Prepare the check of a scene, everything in the planning frame.
@@ -96,6 +97,7 @@ class ExactChecker:
             workspace_box: (6,) lowest x y z, highest x y z, that no moving link may leave [m].
             exclusion_centre: (3,) centre of the sphere around the target in which stem points do not count for the gripper's links.
             exclusion_radius_m: its radius.
+            exclusion_heights_m: lowest and highest height over the centre of an upright segment, around which that radius holds.
             approach_zone_m: the sphere counts only while the tool is at most this far from its centre.
 
         Raises:
@@ -108,7 +110,7 @@ class ExactChecker:
         self._exclusion = None if exclusion_centre is None else _checked("exclusion_centre", exclusion_centre, (3,))
         self._exclusion_radius_m = _length("exclusion_radius_m", exclusion_radius_m)
         self._approach_zone_m = _length("approach_zone_m", approach_zone_m)
-        sphere = (self._exclusion, self._exclusion_radius_m)
+        sphere = (self._exclusion, self._exclusion_radius_m, exclusion_heights_m)
         stems = _checked("impermeable_points", impermeable_points, (-1, 3))
         leaves = _checked("leaf_points", np.zeros((0, 3)) if leaf_points is None else leaf_points, (-1, 3))
         self._stems = PointTest(robot, stems, _length("point_radius_m", point_radius_m), *sphere)

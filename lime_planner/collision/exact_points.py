@@ -58,7 +58,15 @@ def winds_round(link: LinkMesh, point: Array) -> bool:
 class PointTest:
     """A cloud of balls that the links of one robot may touch. Not for two threads at once."""
 
-    def __init__(self, robot: Robot, points: Array, radius_m: float, spared_centre: Array | None, spared_radius_m: float) -> None:
+    def __init__(
+        self,
+        robot: Robot,
+        points: Array,
+        radius_m: float,
+        spared_centre: Array | None,
+        spared_radius_m: float,
+        spared_heights_m: tuple[float, float] = (0.0, 0.0),
+    ) -> None:
         """Sort the cloud.
 
         Args:
@@ -67,6 +75,7 @@ class PointTest:
             radius_m: radius of the balls.
             spared_centre: (3,) centre of the sphere whose points do not count for the gripper's links when asked so, or None.
             spared_radius_m: its radius.
+            spared_heights_m: lowest and highest height over the centre of an upright segment, around which that radius holds.
         """
         import fcl
 
@@ -77,7 +86,9 @@ class PointTest:
         self._grids = grids_of(robot, self.blocks.largest + HALF_DIAGONAL_M)
         self.spared = np.zeros(len(self.blocks.points), dtype=np.bool_)
         if spared_centre is not None:
-            self.spared = np.linalg.norm(self.blocks.points - spared_centre, axis=1) <= spared_radius_m
+            offset = self.blocks.points - spared_centre
+            offset[:, 2] -= np.clip(offset[:, 2], *spared_heights_m)
+            self.spared = np.linalg.norm(offset, axis=1) <= spared_radius_m
         self._meshes = [fcl.CollisionObject(bvh_of(link)) for link in robot.links]
         self._collision, self._distance = fcl.CollisionRequest(), fcl.DistanceRequest()
         self._resize(4096)

@@ -86,7 +86,7 @@ def make_state(shapes: Shapes) -> State:
 
 
 @inline_kernel
-def _scan_body(world: Any, shapes: Any, scratch: Any, b: Any, inside: Any, need: Any, enough: Any, leaves: Any, state: Any) -> Any:
+def scan_body(world: Any, shapes: Any, scratch: Any, b: Any, inside: Any, need: Any, enough: Any, leaves: Any, state: Any) -> Any:
     """Clearance of one body to everything hard into state.clear; lower bound for leaves into state.leaf_clear.
 
     Stops when the clearance is under `enough`. The coarse spheres that a leaf may touch are left in scratch.masks.
@@ -230,7 +230,7 @@ def check(chain: Chain, shapes: Shapes, world: World, scratch: Scratch, q: Array
             state.leaf_clear[b] = CAP_M
             scratch.masks[b] = 0
             continue
-        _scan_body(world, shapes, scratch, b, inside, need, enough, leaves, state)
+        scan_body(world, shapes, scratch, b, inside, need, enough, leaves, state)
         if state.clear[b] < need:
             if floor > need:
                 return False

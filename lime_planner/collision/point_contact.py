@@ -81,7 +81,7 @@ def points_near(
 ) -> Any:
     """Smallest distance from body b's mesh to the points of `table` within `reach` of a place.
 
-    Stops at the first one under `enough`. Points within skip_radius of `skip` do not count.
+    Stops at the first one under `enough`. Points within skip_radius of the upright segment `skip` (`World.exclusion`) do not count.
     """
     best = reach
     low0, high0, low1, high1, low2, high2 = _cells_near(table, x, y, z, reach)
@@ -94,8 +94,11 @@ def points_near(
                 pz = float(table.points[at, 2])
                 if (px - x) ** 2 + (py - y) ** 2 + (pz - z) ** 2 > reach * reach:
                     continue
-                if skip_radius > 0.0 and (px - skip[0]) ** 2 + (py - skip[1]) ** 2 + (pz - skip[2]) ** 2 < skip_radius * skip_radius:
-                    continue
+                if skip_radius > 0.0:
+                    above = pz - skip[2]
+                    above -= min(max(above, skip[4]), skip[5])
+                    if (px - skip[0]) ** 2 + (py - skip[1]) ** 2 + above * above < skip_radius * skip_radius:
+                        continue
                 d = mesh_distance(shapes, b, pose, px, py, pz)
                 if d < best:
                     best = d

@@ -25,8 +25,10 @@ class World(NamedTuple):
         boxes: (K, 2, 3) keep-out boxes.
         floor_z: height of the floor, -1e10 for none.
         workspace: (2, 3) box that the arm stays in, infinite for none.
-        exclusion: (4,) centre and radius of the sphere in which stem points do not block the gripper, radius 0 for none.
-        zone: distance of the tool from the sphere's centre within which that holds.
+        exclusion: (6,) where stem points do not block the gripper: x y z of the target, radius, and the lowest and the highest height
+            over the target of an upright segment; points within the radius of the segment are left out. Both heights 0 make a sphere,
+            radius 0 none.
+        zone: distance of the tool from the target within which that holds.
         anchors: (A, n) configurations (start, goals) that have less clearance than the margin, anchor_need: (A,) what is required at
             them; the requirement grows by `slope` [m/rad] with the distance from them until it is the margin again.
         prices: how what is touched becomes a configuration's price.
@@ -58,7 +60,7 @@ def empty_world(fields: Fields, n: int, **values: Any) -> World:
         "boxes": np.zeros((0, 2, 3)),
         "floor_z": -np.inf,
         "workspace": infinite,
-        "exclusion": np.zeros(4),
+        "exclusion": np.zeros(6),
         "zone": 0.0,
         "anchors": np.zeros((0, n)),
         "anchor_need": np.zeros(0),

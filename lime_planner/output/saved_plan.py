@@ -9,12 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from lime_planner.core.errors import ParameterError
+from lime_planner.core.errors import LimePlannerError, ParameterError
 from lime_planner.core.geometry import pose_to_matrix
 from lime_planner.core.status import Status
 from lime_planner.core.types import Array
 from lime_planner.motion.trajectory import Trajectory
 from lime_planner.pipeline.result import NUMBERS, PlanResult
+from lime_planner.pipeline.targets import Target, target_from
 from lime_planner.robot.model import Robot
 from lime_planner.scene.scene import Scene
 
@@ -38,9 +39,21 @@ class SavedPlan:
 
     @property
     def target(self) -> Array | None:
-        """The target (7,), or None."""
+        """The grasp (7,): the target pose, or the one that was chosen; None where there is none."""
         pose = self.figures.get("target_pose")
         return None if pose is None else np.asarray(pose, dtype=np.float64)
+
+    @property
+    def asked(self) -> Target | None:
+        """What was to be reached, None where the plan does not say.
+
+        Raises:
+            ParameterError: what it says is no target.
+        """
+        try:
+            return target_from(self.figures)
+        except (LimePlannerError, KeyError) as error:
+            raise ParameterError(f"{self.path}: its target cannot be read ({error})") from None
 
     @property
     def q_start(self) -> Array | None:
@@ -101,7 +114,11 @@ class SavedPlan:
             iterations=int(figures.get("iterations", 0)),
             waypoints=waypoints,
             trajectory=trajectory,
+            target=self.asked,
             T_base_tool=None if self.target is None else pose_to_matrix(self.target),
+            grasps_tried=int(figures.get("grasps_tried") or 0),
+            grasps_free=int(figures.get("grasps_free") or 0),
+            straight_from=int(figures.get("straight_from") or 0),
             q_start=self.q_start,
             parameters=self.parameters,
             warnings=tuple(figures.get("warnings", ())),

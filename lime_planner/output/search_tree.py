@@ -7,13 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lime_planner.core.geometry import pose_to_matrix
 from lime_planner.core.types import Bool, Float32
 from lime_planner.pipeline import Pipeline
 from lime_planner.pipeline.context import never
-from lime_planner.pipeline.goals import find_goals
+from lime_planner.pipeline.grasps.goals import goals_of
 from lime_planner.pipeline.plan_record import PlanRecord
 from lime_planner.pipeline.search import search
+from lime_planner.pipeline.targets import pose_target
 from lime_planner.planning.planner import no_tree
 
 EDGES_SHOWN = 400  # more hide the plant
@@ -44,11 +44,12 @@ def search_tree_of(pipeline: Pipeline, shown: PlanRecord, *, should_stop: Callab
         should_stop: ends the search early; the tree as it is then is returned.
     """
     result, settings = shown.result, shown.settings
-    if shown.target is None or not len(result.waypoints):
+    aim = result.target if result.target is not None or shown.target is None else pose_target(shown.target)
+    if aim is None or not len(result.waypoints):
         return SearchTree(np.zeros((0, _PIECES, 2, 3), np.float32), np.zeros(0, bool), 0)
     q = result.waypoints[0]
-    obstacles = pipeline.obstacles(shown.scene, shown.target[:3], settings)
-    goals = find_goals(obstacles, obstacles.exact_checker(), pose_to_matrix(shown.target), q, np.random.default_rng(result.seed))
+    obstacles = pipeline.obstacles(shown.scene, aim.spot(shown.scene, settings), settings)
+    goals = goals_of(obstacles, obstacles.exact_checker(), aim, q, np.random.default_rng(result.seed), should_stop)
     tree = no_tree()
     if len(goals.configurations):
         outcome = search(

@@ -21,6 +21,7 @@ from lime_planner.pipeline.obstacles import Obstacles
 from lime_planner.robot.model import Robot
 
 CERTIFIED_STEP_RAD = 0.01  # spacing of the exact check along a path
+STRAIGHT_TOLERANCE_RAD = 0.001  # of corners on a straight stretch: a millimetre at the tool
 _CLOSE_TOLERANCE_RAD = 0.001  # of corners, where the motion touched something with the tolerance of the settings
 
 
@@ -38,8 +39,19 @@ def hit_of(checker: ExactChecker, configurations: Array, should_stop: Callable[[
     return f"{certificate.hit} at sample {certificate.index} of {len(configurations)}"
 
 
-def make_trajectory(robot: Robot, waypoints: Array, obstacles: Obstacles, settings: Settings) -> Trajectory:
-    """Time a path within the robot's scaled limits, slower inside leaves where the settings ask for it."""
+def make_trajectory(robot: Robot, waypoints: Array, obstacles: Obstacles, settings: Settings, straight: slice | None = None) -> Trajectory:
+    """Time a path within the robot's scaled limits, slower inside leaves where the settings ask for it.
+
+    Args:
+        robot: the arm.
+        waypoints: (M, n) [rad].
+        obstacles: tell where leaves are.
+        settings: scalings and tolerances.
+        straight: the waypoints along which the tool keeps to a straight line: there the motion stays closer to them.
+    """
+    tolerances = np.full(len(waypoints), settings.corner_tolerance_rad)
+    if straight is not None and len(waypoints[straight]) > 1:
+        tolerances[straight] = min(STRAIGHT_TOLERANCE_RAD, settings.corner_tolerance_rad)
     scale: Callable[[Array], Array] | None = None
     if settings.leaf_speed_scale < 1.0:
         rows, lengths = sample_path(waypoints, MEASURED_STEP_RAD)
@@ -59,7 +71,7 @@ def make_trajectory(robot: Robot, waypoints: Array, obstacles: Obstacles, settin
         dt_s=settings.trajectory_dt_s,
         velocity_scaling=settings.velocity_scaling,
         acceleration_scaling=settings.acceleration_scaling,
-        corner_tolerance_rad=settings.corner_tolerance_rad,
+        corner_tolerance_rad=tolerances,
         speed_scale=scale,
     )
 
@@ -88,6 +100,7 @@ def timed_motion(
     settings: Settings,
     clock: Clock,
     should_stop: Callable[[], bool],
+    straight: slice | None = None,
 ) -> Trajectory:
     """Time a path, hold it to the rules of the motion command, and check what comes out exactly.
 
@@ -101,7 +114,9 @@ def timed_motion(
         tolerances.append(_CLOSE_TOLERANCE_RAD)
     hit: str | None = None
     for tolerance in tolerances:
-        trajectory = make_trajectory(obstacles.robot, waypoints, obstacles, dataclasses.replace(settings, corner_tolerance_rad=tolerance))
+        trajectory = make_trajectory(
+            obstacles.robot, waypoints, obstacles, dataclasses.replace(settings, corner_tolerance_rad=tolerance), straight
+        )
         clock.lap("timing")
         ask(should_stop)
         broken = contract_violations(obstacles.robot, trajectory, q_measured, settings)

@@ -48,8 +48,10 @@ def leaf_profile(obstacles: Obstacles, configurations: Array) -> tuple[Array, Ar
     return leaf, clear
 
 
-def path_figures(obstacles: Obstacles, checker: ExactChecker, waypoints: Array, T_base_tool: Array | None) -> dict[str, Any]:
-    """The figures of `PlanResult` that describe a path."""
+def path_figures(
+    obstacles: Obstacles, checker: ExactChecker, waypoints: Array, T_base_tool: Array | None, straight_from: int | None = None
+) -> dict[str, Any]:
+    """The figures of `PlanResult` that describe a path (M, n), straight from waypoint `straight_from` on."""
     robot, settings = obstacles.robot, obstacles.settings
     rows, lengths = sample_path(waypoints, MEASURED_STEP_RAD)
     leaf, clear = leaf_profile(obstacles, rows)
@@ -82,6 +84,9 @@ def path_figures(obstacles: Obstacles, checker: ExactChecker, waypoints: Array, 
         "tool_path": matrix_to_pose(poses[keep]),
         "tool_leaf": leaf[keep],
     }
+    if straight_from is not None:
+        begin, end = (robot.forward(waypoints[i])[:3, 3] for i in (straight_from, -1))
+        figures["straight_approach_m"] = float(np.linalg.norm(end - begin))
     if T_base_tool is not None:
         T_tool_target = np.linalg.inv(poses[-1]) @ T_base_tool
         figures["goal_error_m"] = float(np.linalg.norm(T_tool_target[:3, 3]))

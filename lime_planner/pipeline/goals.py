@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -12,7 +12,7 @@ from lime_planner.collision.joint_space import ArmSpace
 from lime_planner.collision.joint_space import measure as arm_measure
 from lime_planner.collision.self_contact import SELF_CLEARANCE_M
 from lime_planner.core.status import Status
-from lime_planner.core.types import Array
+from lime_planner.core.types import Array, Int64
 from lime_planner.pipeline.obstacles import Obstacles
 from lime_planner.robot.ik import solve_ik
 
@@ -20,6 +20,24 @@ MODEL_ERROR_M = 0.001  # a goal's clearance in the fast model must exceed what t
 _BELOW_OWN_M = 0.0004  # at an anchor a little less than its own clearance is required
 _OVERHANG_M = 0.008  # the fast model's spheres reach this far beyond the meshes where they meet boxes, floor and workspace
 _BOX_SLACK_RAD = np.pi / 2  # the sampling box reaches this far beyond start and goals
+
+
+@dataclass(frozen=True, eq=False)
+class Approaches:
+    """What became of the approaches that were tried.
+
+    Attributes:
+        poses: (A, 4, 4) T_base_tool at the target.
+        outcomes: (A,) OUT_OF_REACH, HAND_BLOCKED, ARM_BLOCKED, NO_ROOM or FREE.
+        blocked: up to a few hundred configurations (K, n) that were refused because the arm touches something hard.
+    """
+
+    poses: Array
+    outcomes: Int64
+    blocked: Array
+
+
+OUT_OF_REACH, HAND_BLOCKED, ARM_BLOCKED, NO_ROOM, FREE = 0, 1, 2, 3, 4  #: what became of an approach
 
 
 @dataclass(frozen=True)
@@ -30,7 +48,12 @@ class Goals:
         configurations: (G, n) unwrapped near the start, most promising first.
         anchors: (A, n) start and goals with less clearance than the margin, needs: (A,) what to require there [m].
         status, sentence: NO_IK_SOLUTION or GOAL_IN_STEM with the reason; None if there are goals.
-        found: how many solutions inverse kinematics gave.
+        found: how many solutions inverse kinematics gave, or free grasps were chosen.
+        costs: (G,) terminal costs: what comes behind each configuration adds to J.
+        stretches: for each configuration the way from there to the grasp, (K, n) with the configuration first; K is 1 at the grasp itself.
+        poses: (G, 4, 4) T_base_tool at the grasps.
+        tried, free: numbers of approaches.
+        approaches: what became of them, None where there was nothing to choose.
     """
 
     configurations: Array
@@ -39,6 +62,23 @@ class Goals:
     status: Status | None
     sentence: str
     found: int
+    costs: Array = field(default_factory=lambda: np.zeros(0))
+    stretches: tuple[Array, ...] = ()
+    poses: Array = field(default_factory=lambda: np.zeros((0, 4, 4)))
+    tried: int = 0
+    free: int = 0
+    approaches: Approaches | None = None
+
+    def behind(self, q: Array) -> tuple[int, Array]:
+        """Return which goal is at a path's end q (n,), and the way from there to its grasp, (K, n)."""
+        which = int(np.linalg.norm(self.configurations - q, axis=1).argmin())
+        return which, self.stretches[which]
+
+    def without(self, which: int) -> Goals:
+        """The same but for one goal."""
+        kept = np.delete(np.arange(len(self.configurations)), which)
+        stretches = tuple(self.stretches[i] for i in kept)
+        return replace(self, configurations=self.configurations[kept], costs=self.costs[kept], stretches=stretches, poses=self.poses[kept])
 
 
 def measure(space: ArmSpace, q: Array) -> tuple[float, float, float]:
@@ -81,7 +121,6 @@ def sort_out(obstacles: Obstacles, checker: ExactChecker, solutions: Array, q_st
     n = obstacles.robot.n
     none = np.zeros((0, n))
     space = obstacles.measuring_space()
-    margin = obstacles.world.margin
     kept: list[tuple[float, Array, float]] = []
     hits: dict[str, int] = {}
     widest = 0.0  # clearance of those that touch nothing and are too close all the same
@@ -102,14 +141,25 @@ def sort_out(obstacles: Obstacles, checker: ExactChecker, solutions: Array, q_st
         sentence = f"all {len(solutions)} configurations that reach the target are blocked: {parts}"
         return Goals(none, none, np.zeros(0), Status.GOAL_IN_STEM, sentence, len(solutions))
     kept.sort(key=lambda item: item[0])
-    kept = kept[: settings.max_goals]
+    chosen = np.array([q for _, q, _ in kept[: settings.max_goals]])
+    anchors, needs = tight_anchors(obstacles, chosen, q_start)
+    poses = np.array([obstacles.robot.forward(q) for q in chosen])
+    stretches = tuple(q[None] for q in chosen)
+    return Goals(chosen, anchors, needs, None, "", len(solutions), np.zeros(len(chosen)), stretches, poses)
+
+
+def tight_anchors(obstacles: Obstacles, goals: Array, q_start: Array) -> tuple[Array, Array]:
+    """Return the goals (G, n), and the start (n,), that have less clearance than the margin, (A, n), and what to require there, (A,)."""
+    space, margin = obstacles.measuring_space(), obstacles.world.margin
+    tight = []
+    for q in goals:
+        clear = measure(space, q)[0]
+        if clear < margin + _BELOW_OWN_M:
+            tight.append((q, max(MODEL_ERROR_M - _BELOW_OWN_M, clear - _BELOW_OWN_M)))
     start_clear = measure(space, q_start)[0]
-    tight = [(q, max(MODEL_ERROR_M - _BELOW_OWN_M, clear - _BELOW_OWN_M)) for _, q, clear in kept if clear < margin + _BELOW_OWN_M]
     if start_clear < margin + _BELOW_OWN_M:
         tight.append((q_start, max(-_OVERHANG_M, start_clear - _BELOW_OWN_M)))  # the exact check has let it pass
-    anchors = np.array([q for q, _ in tight]).reshape(-1, n)
-    needs = np.array([need for _, need in tight])
-    return Goals(np.array([q for _, q, _ in kept]), anchors, needs, None, "", len(solutions))
+    return np.array([q for q, _ in tight]).reshape(-1, len(q_start)), np.array([need for _, need in tight])
 
 
 _IN_WORDS = {

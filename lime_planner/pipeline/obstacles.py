@@ -16,6 +16,7 @@ from lime_planner.collision.world import World, empty_world
 from lime_planner.core.parameters import Settings
 from lime_planner.core.types import Array, Float32
 from lime_planner.pipeline.context import ask, never
+from lime_planner.pipeline.spots import Spot, exclusion, hard_points, spared
 from lime_planner.planning.prices import BINARY, GRADED, price_of_points
 from lime_planner.robot.model import Robot
 from lime_planner.scene.scene import Scene
@@ -36,7 +37,7 @@ class Obstacles:
         world: for searches.
         hard: (P, 3) impermeable points; leaves: (L, 3) leaf points, thinned.
         settings: as used.
-        target: (3,) centre of the exclusion sphere, None without target.
+        spot: place of the target, None without one.
         counts: what was used and hidden.
     """
 
@@ -46,7 +47,7 @@ class Obstacles:
     hard: Float32
     leaves: Float32
     settings: Settings
-    target: Array | None
+    spot: Spot | None
     counts: dict[str, int]
 
     def space(self, lower: Array, upper: Array, *, leaves: bool | None = None) -> ArmSpace:
@@ -77,17 +78,18 @@ class Obstacles:
 
     def exact_checker(self) -> ExactChecker:
         """An exact checker of the same obstacles."""
-        return _exact_checker(self.robot, self.hard, self.leaves, self.target, self.settings, self.world.stem_radius)
+        world = self.world
+        return _exact_checker(self.robot, self.hard, self.leaves, world.exclusion, world.zone, self.settings, world.stem_radius)
 
 
-def stem_checker(robot: Robot, scene: Scene, target: Array | None, settings: Settings) -> ExactChecker:
+def stem_checker(robot: Robot, scene: Scene, spot: Spot | None, settings: Settings) -> ExactChecker:
     """An exact checker of everything hard in a scene, without leaves and without the fields that a search needs: made in no time.
 
     Args:
-        robot, scene, target, settings: see `prepare`; the leaf policy does not count.
+        robot, scene, spot, settings: see `prepare`; the leaf policy does not count.
     """
-    hard, none = _hard_points(robot, scene, target, settings), np.zeros((0, 3), np.float32)
-    return _exact_checker(robot, hard, none, target, settings, _stem_radius_m(scene, settings))
+    hard, none = _hard_points(robot, scene, spot, settings), np.zeros((0, 3), np.float32)
+    return _exact_checker(robot, hard, none, *exclusion(spot, settings), settings, _stem_radius_m(scene, settings))
 
 
 def _stem_radius_m(scene: Scene, settings: Settings) -> float:
@@ -95,13 +97,15 @@ def _stem_radius_m(scene: Scene, settings: Settings) -> float:
     return settings.stem_point_radius_m + scene.stem_displacement_m
 
 
-def _hard_points(robot: Robot, scene: Scene, target: Array | None, settings: Settings) -> Float32:
-    hard = scene.impermeable_points(target, settings.target_exclusion_radius_m)
+def _hard_points(robot: Robot, scene: Scene, spot: Spot | None, settings: Settings) -> Float32:
+    hard = hard_points(scene, spot, settings)
     reach = robot.reach_m + _BEYOND_REACH_M
     return np.asarray(hard[np.einsum("ij,ij->i", hard, hard) <= reach * reach], dtype=np.float32)
 
 
-def _exact_checker(robot: Robot, hard: Float32, leaves: Float32, target: Array | None, s: Settings, stem_radius_m: float) -> ExactChecker:
+def _exact_checker(
+    robot: Robot, hard: Float32, leaves: Float32, hidden: Array, zone_m: float, s: Settings, stem_radius_m: float
+) -> ExactChecker:
     boxes = np.array(s.keep_out_boxes, dtype=np.float64).reshape(-1, 6)
     return ExactChecker(
         robot,
@@ -112,28 +116,29 @@ def _exact_checker(robot: Robot, hard: Float32, leaves: Float32, target: Array |
         keep_out_boxes=boxes,
         floor_z_m=s.floor_height_m,
         workspace_box=np.array(s.workspace_box) if s.workspace_box else None,
-        exclusion_centre=target if s.target_exclusion_radius_m > 0.0 else None,
-        exclusion_radius_m=s.target_exclusion_radius_m,
-        approach_zone_m=s.approach_zone_m,
+        exclusion_centre=hidden[:3] if hidden[3] > 0.0 else None,
+        exclusion_radius_m=float(hidden[3]),
+        exclusion_heights_m=(float(hidden[4]), float(hidden[5])),
+        approach_zone_m=zone_m,
     )
 
 
 def prepare(
-    robot: Robot, shapes: Shapes, scene: Scene, target: Array | None, settings: Settings, should_stop: Callable[[], bool] = never
+    robot: Robot, shapes: Shapes, scene: Scene, spot: Spot | None, settings: Settings, should_stop: Callable[[], bool] = never
 ) -> Obstacles:
     """Build fields and obstacles.
 
     Args:
         robot, shapes: the arm.
         scene: in the planning frame.
-        target: (3,) position of the tool at the target [m], or None for a check without one.
+        spot: place of the target, or None for a check without one.
         settings: radii, margins, keep-outs, leaf policy.
         should_stop: cancels.
 
     Raises:
         Refusal: CANCELLED.
     """
-    hard = _hard_points(robot, scene, target, settings)
+    hard = _hard_points(robot, scene, spot, settings)
     leaf, costs = scene.leaf_points, scene.leaf_costs
     reach = robot.reach_m + _BEYOND_REACH_M
     near = np.einsum("ij,ij->i", leaf, leaf) <= reach * reach
@@ -151,10 +156,9 @@ def prepare(
     weights, prices = price_of_points(thinned, thinned_costs, GRADED if settings.leaf_cost == "graded" else BINARY)
     fields = build_fields(hard, thinned, weights, spacing_m=settings.voxel_m, pause=lambda: ask(should_stop))
     counts = dict(scene.counts) | {"stem_points_used": len(hard), "leaf_points_used": len(thinned)}
-    exclusion = np.zeros(4)
-    if target is not None and settings.target_exclusion_radius_m > 0.0:
-        exclusion[:] = (*target, settings.target_exclusion_radius_m)
-        counts["stem_points_hidden"] = int((np.linalg.norm(hard - target, axis=1) < settings.target_exclusion_radius_m).sum())
+    hidden, zone_m = exclusion(spot, settings)
+    if hidden[3] > 0.0:
+        counts["stem_points_hidden"] = int(spared(hard, hidden).sum())
     infinite = np.array([[-np.inf] * 3, [np.inf] * 3])
     world = empty_world(
         fields,
@@ -165,9 +169,9 @@ def prepare(
         boxes=np.array(settings.keep_out_boxes, dtype=np.float64).reshape(-1, 2, 3),
         floor_z=settings.floor_height_m,
         workspace=np.array(settings.workspace_box, dtype=np.float64).reshape(2, 3) if settings.workspace_box else infinite,
-        exclusion=exclusion,
-        zone=settings.approach_zone_m,
+        exclusion=hidden,
+        zone=zone_m,
         slope=_MARGIN_SLOPE,
         prices=prices,
     )
-    return Obstacles(robot, shapes, world, hard, thinned, settings, target, counts)
+    return Obstacles(robot, shapes, world, hard, thinned, settings, spot, counts)

@@ -12,20 +12,24 @@ import numpy.typing as npt
 from lime_planner.collision.exact import ExactChecker
 from lime_planner.collision.link_shapes import Shapes, build_shapes
 from lime_planner.core.errors import Refusal
+from lime_planner.core.geometry import matrix_to_pose
 from lime_planner.core.parameters import Settings, obstacle_settings, settings_from
 from lime_planner.core.planners import PLANNERS
 from lime_planner.core.status import Status
 from lime_planner.core.types import Array
 from lime_planner.pipeline import recheck
 from lime_planner.pipeline.certify import CERTIFIED_STEP_RAD, hit_of, timed_motion
-from lime_planner.pipeline.context import Clock, ask, checked_deadline, checked_start, checked_target, never
+from lime_planner.pipeline.context import Clock, ask, checked_deadline, checked_start, never
 from lime_planner.pipeline.figures import path_figures, sample_path
-from lime_planner.pipeline.goals import Goals, examine_start, find_goals
+from lime_planner.pipeline.goals import Goals, examine_start
+from lime_planner.pipeline.grasps.goals import goals_of
 from lime_planner.pipeline.obstacles import Obstacles, prepare, stem_checker
 from lime_planner.pipeline.plausibility import doubts_about
 from lime_planner.pipeline.result import PlanResult, set_parameters
 from lime_planner.pipeline.search import search
-from lime_planner.planning.planner import Outcome, load_planner
+from lime_planner.pipeline.spots import Spot, spot_at
+from lime_planner.pipeline.targets import Target, target_of
+from lime_planner.planning.planner import load_planner
 from lime_planner.robot.model import Robot, home
 from lime_planner.scene import voxels
 from lime_planner.scene.scene import Scene
@@ -33,6 +37,7 @@ from lime_planner.scene.scene import Scene
 _FINISH_S = 0.25  # of a deadline, left for certificate and timing
 _RETRY_MARGIN_M = 0.003  # added to the margin when the exact check refuses a path
 _ATTEMPTS = 2
+_DROPPED = 4  # goals at most whose straight stretch the exact check refuses
 
 
 class Pipeline:
@@ -71,29 +76,31 @@ class Pipeline:
         checker.leaf_contact(q)
         self._kept = None
 
-    def obstacles(self, scene: Scene, target: Array | None, settings: Settings, should_stop: Callable[[], bool] = never) -> Obstacles:
+    def obstacles(
+        self, scene: Scene, place: Spot | npt.ArrayLike | None, settings: Settings, should_stop: Callable[[], bool] = never
+    ) -> Obstacles:
         """Obstacles of a scene, those of the last call if nothing that they are made of has changed.
 
         Args:
             scene: in the planning frame.
-            target: (3,) position of the tool at the target [m], or None for a check without one.
+            place: of the target; a position (3,) is an exact pose's, None for a check without a target.
             settings: radii, margins, keep-outs, leaf policy.
             should_stop: cancels.
 
         Raises:
             Refusal: CANCELLED.
         """
-        place = None if target is None else tuple(np.asarray(target, dtype=np.float64))
-        key = (place, obstacle_settings(settings))
+        spot = spot_at(place)
+        key = (spot, obstacle_settings(settings))
         kept = self._kept  # read and written whole: another thread may ask at the same time
         if kept is None or kept[0] is not scene or kept[1] != key:
-            kept = self._kept = (scene, key, prepare(self.robot, self.shapes, scene, target, settings, should_stop))
+            kept = self._kept = (scene, key, prepare(self.robot, self.shapes, scene, spot, settings, should_stop))
         return dataclasses.replace(kept[2], settings=settings)
 
     def plan(
         self,
         scene: Scene,
-        T_base_tool: npt.ArrayLike,
+        target: Target | npt.ArrayLike,
         q_start: npt.ArrayLike,
         settings: Settings,
         *,
@@ -105,7 +112,8 @@ class Pipeline:
 
         Args:
             scene: in the planning frame.
-            T_base_tool: (4, 4) pose that the tool frame must reach, in the planning frame.
+            target: what the tool is to reach, in the planning frame. An array (4, 4) is T_base_tool of one pose, with the freedom that
+                the settings name; one of three numbers the centre of a fruit.
             q_start: (n,) measured configuration [rad], turns kept.
             settings: everything else.
             should_stop: True cancels; asked every few milliseconds.
@@ -114,14 +122,16 @@ class Pipeline:
             seed: of the random generator; 0 draws one, which the result names.
 
         Raises:
-            ProblemError: `T_base_tool` is no pose, `q_start` is not n finite numbers, or `deadline_s` is no time.
+            ProblemError: `target` is none, `q_start` is not n finite numbers, or `deadline_s` is no time.
         """
         clock = Clock()
-        T, q, deadline_s = checked_target(T_base_tool), checked_start(self.robot, q_start), checked_deadline(deadline_s)
+        aim = target_of(target, settings.grasp_freedom)
+        q, deadline_s = checked_start(self.robot, q_start), checked_deadline(deadline_s)
         seed = int(seed) or int(settings.seed) or int(np.random.default_rng().integers(1, 2**31 - 1))
         counts: dict[str, int] = {}
         iterations = [0]
         figures: dict[str, Any] = {}
+        asked: dict[str, Any] = {"T_base_tool": aim.poses[0] if aim.kind == "pose" else None}
 
         def outcome(status: Status, sentence: str) -> PlanResult:
             return PlanResult(
@@ -133,51 +143,54 @@ class Pipeline:
                 planning_time_s=clock.elapsed(),
                 phases_s=clock.phases,
                 counts=counts,
-                T_base_tool=T,
+                target=aim,
                 q_start=q,
                 parameters=set_parameters(settings, self.robot),
-                warnings=doubts_about(scene, self.robot, T, q),
-                **figures,
+                warnings=doubts_about(scene, self.robot, aim.centre, q),
+                **(asked | figures),
             )
 
         def ended() -> bool:
             return should_stop() or (deadline_s is not None and clock.elapsed() >= deadline_s)
 
         try:
-            obstacles, checker, goals = self._goals(scene, T, q, settings, seed, clock, counts, ended)
-            found = self._path(obstacles, checker, q, goals, settings, seed, clock, counts, ended, deadline_s, iterations)
-            assert found.path is not None
-            figures = path_figures(obstacles, checker, found.path, T)
+            obstacles, checker, goals = self._goals(scene, aim, q, settings, seed, clock, counts, figures, ended)
+            path, straight_from, T = self._path(obstacles, checker, q, goals, settings, seed, clock, counts, ended, deadline_s, iterations)
+            figures |= {"T_base_tool": T, "straight_from": straight_from}
+            figures |= path_figures(obstacles, checker, path, T, straight_from)
             clock.lap("figures")
             limit = settings.max_leaf_contact_rad
             if limit >= 0.0 and figures["leaf_contact_rad"] > limit:
                 sentence = f"the least leaf contact found is {figures['leaf_contact_rad']:.3f} rad, allowed are {limit:.3f} rad"
                 raise Refusal(Status.LEAF_BUDGET_EXCEEDED, sentence)
-            figures["trajectory"] = timed_motion(obstacles, checker, found.path, q, settings, clock, ended)
+            straight = slice(straight_from, len(path))
+            figures["trajectory"] = timed_motion(obstacles, checker, path, q, settings, clock, ended, straight)
         except Refusal as refusal:
             if refusal.status is Status.CANCELLED and not should_stop():
                 sentence = f"the deadline, {deadline_s:.2f} s after planning began, passed before a motion was certified"
                 return outcome(Status.TIMED_OUT, sentence)
             return outcome(refusal.status, str(refusal))
         sentence = (
-            f"{len(found.path)} waypoints over {figures['path_length_rad']:.2f} rad, {figures['leaf_contact_rad']:.3f} rad of it among "
+            f"{len(path)} waypoints over {figures['path_length_rad']:.2f} rad, {figures['leaf_contact_rad']:.3f} rad of it among "
             f"leaves, stems at least {1e3 * figures['min_stem_clearance_m']:.1f} mm away, "
             f"{figures['trajectory'].duration_s:.1f} s of motion, planned in {clock.elapsed():.2f} s"
+            f"{_approach(figures, settings)}"
         )
         return outcome(Status.SUCCEEDED, sentence)
 
     def _goals(
         self,
         scene: Scene,
-        T: Array,
+        aim: Target,
         q: Array,
         settings: Settings,
         seed: int,
         clock: Clock,
         counts: dict[str, int],
+        figures: dict[str, Any],
         should_stop: Callable[[], bool],
     ) -> tuple[Obstacles, ExactChecker, Goals]:
-        obstacles = self.obstacles(scene, T[:3, 3], settings, should_stop)
+        obstacles = self.obstacles(scene, aim.spot(scene, settings), settings, should_stop)
         checker = obstacles.exact_checker()
         counts |= obstacles.counts
         clock.lap("fields")
@@ -185,8 +198,11 @@ class Pipeline:
         reason = examine_start(obstacles, checker, q)
         if reason is not None:
             raise Refusal(*reason)
-        goals = find_goals(obstacles, checker, T, q, np.random.default_rng(seed))
+        goals = goals_of(obstacles, checker, aim, q, np.random.default_rng(seed), should_stop)
         counts |= {"ik_solutions": goals.found, "goals": len(goals.configurations)}
+        figures |= {"grasps_tried": goals.tried, "grasps_free": goals.free}
+        if goals.approaches is not None:
+            figures |= {"approaches": matrix_to_pose(goals.approaches.poses), "approach_outcomes": goals.approaches.outcomes}
         clock.lap("inverse_kinematics")
         if goals.status is not None:
             raise Refusal(goals.status, goals.sentence)
@@ -206,10 +222,17 @@ class Pipeline:
         should_stop: Callable[[], bool],
         deadline_s: float | None,
         iterations: list[int],
-    ) -> Outcome:
-        """Search until the exact check accepts the path; a refused one is searched again with more margin."""
+    ) -> tuple[Array, int, Array]:
+        """Search until the exact check accepts the path; a refused one is searched again with more margin.
+
+        A goal whose straight stretch the exact check refuses is left out, and costs no attempt.
+
+        Returns:
+            The path (M, n) to the grasp, the waypoint from which it leads straight there, and the grasp (4, 4).
+        """
         hit: str | None = None
-        for attempt in range(_ATTEMPTS):
+        attempt = dropped = 0
+        while attempt < _ATTEMPTS:
             budget = None if settings.iterations else settings.time_budget_s
             if deadline_s is not None:
                 left = max(deadline_s - clock.elapsed() - _FINISH_S, 0.02)
@@ -228,19 +251,27 @@ class Pipeline:
                     raise Refusal(found.status, "where the arm stands, it is closer to itself or to something hard than can be certified")
                 amount = f"{found.iterations} iterations" if budget is None else f"{budget:.2f} s ({found.iterations} iterations)"
                 raise Refusal(found.status, f"no path to any of {len(goals.configurations)} goal configurations within {amount}")
-            hit = hit_of(checker, sample_path(found.path, CERTIFIED_STEP_RAD)[0], should_stop)
+            which, stretch = goals.behind(found.path[-1])
+            hit = hit_of(checker, sample_path(stretch, CERTIFIED_STEP_RAD)[0], should_stop) if len(stretch) > 1 else None
+            if hit is not None and dropped < _DROPPED and len(goals.configurations) > 1:
+                clock.lap("certificate")
+                goals, dropped = goals.without(which), dropped + 1
+                continue
+            hit = hit or hit_of(checker, sample_path(found.path, CERTIFIED_STEP_RAD)[0], should_stop)
             clock.lap("certificate")
             if hit is None:
-                return found
+                return np.concatenate([found.path, stretch[1:]]), len(found.path) - 1, goals.poses[which]
+            attempt += 1
         raise Refusal(Status.PATH_INVALID, f"the exact check refuses the path: {hit}")
 
     def follow(
         self,
         waypoints: npt.ArrayLike,
         scene: Scene,
-        T_base_tool: npt.ArrayLike | None,
+        target: Target | npt.ArrayLike | None,
         settings: Settings,
         *,
+        straight: slice | None = None,
         should_stop: Callable[[], bool] = never,
     ) -> PlanResult:
         """Make a motion along given waypoints: exact check, timing, contract; no search.
@@ -248,16 +279,24 @@ class Pipeline:
         Args:
             waypoints: (M, n) [rad], the first one where the arm is, M at least 2.
             scene: to check against.
-            T_base_tool: the target whose exclusion sphere holds, or None.
+            target: what was reached where the path ends or begins, or None: its fruit is in the hand and let go, and so is what is let
+                go around an exact pose.
             settings: limits and radii.
+            straight: the waypoints along which the tool keeps to a straight line.
             should_stop: cancels.
 
         Raises:
-            ProblemError: `waypoints` is no such array, or `T_base_tool` no pose.
+            ProblemError: `waypoints` is no such array, or `target` none.
         """
-        T = None if T_base_tool is None else checked_target(T_base_tool)
-        result = recheck.follow(lambda: self._obstacles_of(scene, T, settings, should_stop), waypoints, T, settings, should_stop)
-        return dataclasses.replace(result, parameters=set_parameters(settings, self.robot))
+        aim = None if target is None else target_of(target)
+
+        def world() -> Obstacles:
+            spot = None if aim is None else dataclasses.replace(aim.spot(scene, settings), picked=True)
+            return self.obstacles(scene, spot, settings, should_stop)
+
+        result = recheck.follow(world, waypoints, settings, should_stop, straight)
+        T = aim.poses[0] if aim is not None and aim.kind == "pose" else None
+        return dataclasses.replace(result, parameters=set_parameters(settings, self.robot), target=aim, T_base_tool=T)
 
     def recheck(
         self,
@@ -287,7 +326,7 @@ class Pipeline:
         q = checked_start(self.robot, q_measured)
 
         def world() -> Obstacles:
-            return self._obstacles_of(scene, result.T_base_tool, settings, should_stop)
+            return self.obstacles(scene, self._spot_of(result, scene, settings), settings, should_stop)
 
         return recheck.recheck(world, result.trajectory, q, settings, should_stop)
 
@@ -311,8 +350,20 @@ class Pipeline:
         Returns:
             The contact in words; None if there is none, or if the look was ended before it found one.
         """
-        target = None if result.T_base_tool is None else result.T_base_tool[:3, 3]
-        return recheck.obstruction(lambda: stem_checker(self.robot, scene, target, settings), result.trajectory, from_time_s, should_stop)
+        spot = self._spot_of(result, scene, settings)
+        return recheck.obstruction(lambda: stem_checker(self.robot, scene, spot, settings), result.trajectory, from_time_s, should_stop)
 
-    def _obstacles_of(self, scene: Scene, T_base_tool: Array | None, settings: Settings, should_stop: Callable[[], bool]) -> Obstacles:
-        return self.obstacles(scene, None if T_base_tool is None else T_base_tool[:3, 3], settings, should_stop)
+    def _spot_of(self, result: PlanResult, scene: Scene, settings: Settings) -> Spot | None:
+        """The place of a result's target in a scene; the hand that goes back holds its fruit."""
+        if result.target is None:
+            return None
+        spot = result.target.spot(scene, settings)
+        return dataclasses.replace(spot, picked=True) if result.back else spot
+
+
+def _approach(figures: dict[str, Any], settings: Settings) -> str:
+    """Say how much of the last stretch is straight, where that is less than wanted."""
+    straight_m = figures["straight_approach_m"]
+    if straight_m >= settings.approach_distance_m - 1e-3:
+        return ""
+    return f"; only the last {100.0 * straight_m:.0f} cm of {100.0 * settings.approach_distance_m:.0f} are straight"

@@ -16,16 +16,16 @@ _UPRIGHT = 0.8  #: cosine of the angle within which a plant's long axis follows 
 _SLENDER = 1.5  #: times the spread along the other axes, for a plant to have a long axis
 
 
-def doubts_about(scene: Scene, robot: Robot, T_base_tool: Array, q_start: Array) -> tuple[str, ...]:
+def doubts_about(scene: Scene, robot: Robot, target: Array, q_start: Array) -> tuple[str, ...]:
     """Return sentences about what a plan was asked for with that is hardly meant; empty where all is plausible.
 
     Args:
         scene: in the planning frame [m].
         robot: the arm.
-        T_base_tool: the target, (4, 4) [m].
+        target: where the tool is to be, (3,) [m].
         q_start: (n,) [rad].
     """
-    found = [_about_target(robot, T_base_tool[:3, 3]), _about_start(q_start), _about_labels(scene)]
+    found = [_about_target(robot, target), _about_start(q_start), _about_labels(scene)]
     found.append(_about_place(scene, robot) or _about_axes(scene))
     return tuple(filter(None, found))
 

@@ -25,16 +25,17 @@ from lime_planner.pipeline.result import PlanResult
 def follow(
     obstacles: Callable[[], Obstacles],
     waypoints: npt.ArrayLike,
-    T_base_tool: Array | None,
     settings: Settings,
     should_stop: Callable[[], bool] = never,
+    straight: slice | None = None,
 ) -> PlanResult:
     """Make a motion along given waypoints; see `Pipeline.follow`.
 
     Args:
         obstacles: makes the obstacles, which takes time.
-        waypoints: (M, n) [rad], M at least 2; T_base_tool: the target for the result.
+        waypoints: (M, n) [rad], M at least 2.
         settings: limits and radii; should_stop: cancels.
+        straight: the waypoints along which the tool keeps to a straight line.
 
     Raises:
         ProblemError: `waypoints` is no such array, or not finite.
@@ -56,7 +57,7 @@ def follow(
             raise Refusal(Status.PATH_INVALID, f"the exact check refuses the path: {hit}")
         figures = path_figures(world, checker, path, None)
         clock.lap("figures")
-        figures["trajectory"] = timed_motion(world, checker, path, path[0], settings, clock, should_stop)
+        figures["trajectory"] = timed_motion(world, checker, path, path[0], settings, clock, should_stop, straight)
         status, sentence = Status.SUCCEEDED, f"{figures['path_length_rad']:.2f} rad, {figures['trajectory'].duration_s:.1f} s of motion"
     except Refusal as refusal:
         status, sentence = refusal.status, str(refusal)
@@ -67,8 +68,8 @@ def follow(
         0,
         planning_time_s=clock.elapsed(),
         phases_s=clock.phases,
-        T_base_tool=T_base_tool,
         q_start=path[0],
+        back=True,
         **figures,
     )
 

@@ -15,8 +15,9 @@ from lime_planner.core.atomic_files import write_json
 from lime_planner.core.geometry import matrix_to_pose
 from lime_planner.core.parameters import PARAMETERS, Settings
 from lime_planner.core.status import Status
-from lime_planner.core.types import Array
+from lime_planner.core.types import Array, Int64
 from lime_planner.motion.trajectory import Trajectory
+from lime_planner.pipeline.targets import Target
 from lime_planner.robot.model import Robot
 
 #: What is shown of a plan: name of the figure, words, unit, factor from the figure's unit, decimals.
@@ -39,6 +40,7 @@ NUMBERS = (
     "tool_path_length_m",
     "tool_leaf_contact_m",
     "min_stem_clearance_m",
+    "straight_approach_m",
     "goal_error_m",
     "goal_error_rad",
 )
@@ -73,7 +75,13 @@ class PlanResult:
         tool_leaf: (K,) leaf intensity there.
         phases_s: wall time of the plan's parts.
         counts: numbers of points used, dropped, hidden, of goals, of checks.
-        T_base_tool: the target, (4, 4).
+        target: what was to be reached; None for a motion along given waypoints that leads from nowhere in particular.
+        T_base_tool: the grasp, (4, 4): the pose that was asked for, or the one that was chosen; None where none was.
+        straight_from: number of the waypoint from which the tool moves straight to the grasp.
+        straight_approach_m: how far it does so.
+        grasps_tried, grasps_free: approaches that were looked at, and those with a free grasp and a free stretch.
+        approaches: (A, 7) their poses; approach_outcomes: (A,) what became of each, see `pipeline.goals`.
+        back: whether it is a motion that leads back from a target.
         q_start: (n,) configuration that was planned from [rad].
         parameters: what it was made with, but for the defaults (see `set_parameters`).
         warnings: sentences about what it was asked for that is hardly meant (see `lime_planner.pipeline.plausibility`).
@@ -102,7 +110,15 @@ class PlanResult:
     tool_leaf: Array = field(default_factory=lambda: np.zeros(0))
     phases_s: Mapping[str, float] = field(default_factory=dict)
     counts: Mapping[str, int] = field(default_factory=dict)
+    target: Target | None = None
     T_base_tool: Array | None = None
+    straight_from: int = 0
+    straight_approach_m: float = float("nan")
+    grasps_tried: int = 0
+    grasps_free: int = 0
+    approaches: Array = field(default_factory=lambda: np.zeros((0, 7)))
+    approach_outcomes: Int64 = field(default_factory=lambda: np.zeros(0, np.int64))
+    back: bool = False
     q_start: Array | None = None
     parameters: Mapping[str, Any] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
@@ -158,6 +174,7 @@ class PlanResult:
         """What the plan was made from, as far as it knows, ready for JSON: `target_pose`, `start` and `parameters`."""
         return {
             "target_pose": None if self.T_base_tool is None else matrix_to_pose(self.T_base_tool).tolist(),
+            **({} if self.target is None else self.target.origin()),
             "start": None if self.q_start is None else np.asarray(self.q_start, dtype=np.float64).tolist(),
             "parameters": dict(self.parameters),
         }
@@ -167,7 +184,9 @@ class PlanResult:
         values: dict[str, Any] = {"status": self.status.name, "message": self.message, "planner": self.planner, "seed": int(self.seed)}
         values["cost_metric"] = self.cost_metric
         values["warnings"] = list(self.warnings)
-        for name in ("iterations", "n_collision_nodes"):
+        values["target_kind"] = None if self.target is None else self.target.kind
+        values["grasp"] = None if self.T_base_tool is None or not len(self.waypoints) else matrix_to_pose(self.T_base_tool).tolist()
+        for name in ("iterations", "n_collision_nodes", "grasps_tried", "grasps_free", "straight_from"):
             values[name] = int(getattr(self, name))
         for name in NUMBERS:
             value = float(getattr(self, name))

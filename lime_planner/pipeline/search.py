@@ -39,6 +39,7 @@ def search(
         q_start,
         goals.configurations,
         seed,
+        terminal_costs=goals.costs,
         iterations=settings.iterations or None,
         deadline_s=budget_s,
         should_stop=should_stop,

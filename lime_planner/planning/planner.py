@@ -31,6 +31,7 @@ class Query:
         start: (n,) configuration, not yet checked [unit of the space: rad for an arm].
         goals: (G, n) configurations, at least one, most promising first; invalid ones are to be left out.
         seed: of the random generator.
+        terminal_costs: (G,) what ending at each goal adds to the cost; None: nothing.
         iterations: budget of sampled configurations; None for none.
         deadline_s: search time from the call on [s]; None for none.
         should_stop: True ends the search; to be asked every few milliseconds. None: never.
@@ -40,6 +41,7 @@ class Query:
     start: Array
     goals: Array
     seed: int
+    terminal_costs: Array | None = None
     iterations: int | None = None
     deadline_s: float | None = None
     should_stop: Callable[[], bool] | None = None

@@ -15,6 +15,8 @@ from lime_planner.core.transform_history import TransformHistory
 
 CLOUD = "sensor_msgs/msg/PointCloud2"
 POSE = "geometry_msgs/msg/PoseStamped"
+POINT = "geometry_msgs/msg/PointStamped"
+POSES = "geometry_msgs/msg/PoseArray"
 JOINTS = "sensor_msgs/msg/JointState"
 _TF = "tf2_msgs/msg/TFMessage"
 _TF_TOPICS = ("/tf_static", "/tf")

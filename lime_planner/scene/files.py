@@ -1,9 +1,10 @@
 """Scene files: `.npz`, and PLY and PCD with an integer label, to and from plain arrays (`Scene.load`, `Scene.save`).
 
-An `.npz` holds `points` (N, 3) [m] and `labels` (N,), and optionally `permeability_cost` (N,), `target_pose` (7,), `frame_id`,
-`stake_points` (S, 3), and the ground truth of generated plants: `leaf_ids` (N,), `leaf_triangles` (L, 3, 3), `leaf_triangle_ids`
-(L,), `fruit_centres` (F, 3), `fruit_radii` (F,). Recorded scenes also hold the arm's configuration when they were taken, `start`
-(n,) [rad] with `start_joints` (n,), and how far thinning moved their points. Pickled members are refused: a scene file cannot run code.
+An `.npz` holds `points` (N, 3) [m] and `labels` (N,), and optionally `permeability_cost` (N,), `target_pose` (7,), `grasp_candidates` (P,
+7), `frame_id`, `stake_points` (S, 3), and the ground truth of generated plants: `leaf_ids` (N,), `leaf_triangles` (L, 3, 3),
+`leaf_triangle_ids` (L,), `fruit_centres` (F, 3), `fruit_radii` (F,). Recorded scenes also hold the arm's configuration when they were
+taken, `start` (n,) [rad] with `start_joints` (n,), and how far thinning moved their points. Pickled members are refused: a scene file
+cannot run code.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from lime_planner.scene.ply_pcd import read_cloud, write_cloud
 SUFFIXES = (".npz", ".ply", ".pcd")
 
 _TRUTH = ("leaf_triangles", "leaf_triangle_ids", "fruit_centres", "fruit_radii")
-_OPTIONAL = ("permeability_cost", "target_pose", "stake_points", "leaf_ids", *_TRUTH)
+_OPTIONAL = ("permeability_cost", "target_pose", "grasp_candidates", "stake_points", "leaf_ids", *_TRUTH)
 
 _DISPLACEMENTS = ("stem_displacement_m", "leaf_displacement_m")
 
@@ -54,7 +55,7 @@ def read_members(path: str | os.PathLike[str], label_field: str) -> Members:
 
     Returns:
         `points` (N, 3) and `labels` (N,), in the types of the file, and what it has of `permeability_cost` (N,), `target_pose`,
-        `frame_id` (text), `stake_points`, `leaf_ids`, and the ground truth of generated plants, unchecked.
+        `grasp_candidates`, `frame_id` (text), `stake_points`, `leaf_ids`, and the ground truth of generated plants, unchecked.
 
     Raises:
         SceneError: the file is missing, of another kind, truncated, empty, or without a needed field.

@@ -18,7 +18,7 @@ from lime_planner.core.geometry import clean_name, matrix_to_pose, pose_to_matri
 from lime_planner.core.status import Status
 from lime_planner.core.transform_history import TF_HISTORY_S, NoTransform, TransformHistory
 from lime_planner.core.types import Array
-from lime_planner.scene.bag import CLOUD, JOINTS, POSE, Recorded, Recording
+from lime_planner.scene.bag import CLOUD, JOINTS, POINT, POSE, POSES, Recorded, Recording
 from lime_planner.scene.files import Start
 from lime_planner.scene.from_clouds import CLOUDS, ArmFilter, Labels, belonging_together, scene_of_cloud, without_arm
 from lime_planner.scene.scene import Scene, merged
@@ -29,8 +29,12 @@ INPUTS: Mapping[str, str] = {
     "stem_cloud": CLOUD,
     "labelled_cloud": CLOUD,
     "grasp_target": POSE,
+    "fruit_target": POINT,
+    "grasp_candidates": POSES,
     "joint_states": JOINTS,
 }
+#: Those that say what is to be reached; the newest counts.
+TARGETS = ("grasp_target", "fruit_target", "grasp_candidates")
 #: How far joint states reach back from a cloud, and how long later ones are waited for, as in the node [s].
 _HISTORY_S, _SETTLING_S = 5.0, 1.0
 #: A cloud's stamp may lie this far before the first joint state before the arm's state counts as unknown [s].
@@ -96,9 +100,7 @@ def read_recording(
         recording.check_time(at)
         reader = _Reader(recording, frame, labels or Labels(), given, at)
         scene = reader.scene()
-        target = reader.newest("grasp_target")
-        if target is not None:
-            scene = dataclasses.replace(scene, target_pose=reader.pose(target))
+        scene = dataclasses.replace(scene, **reader.target())
         state = reader.newest_state(at)
         start = None if state is None else Start(tuple(frame.joint_names), _configuration(state, frame.joint_names))
         if state is not None:
@@ -158,16 +160,44 @@ class _Reader:
             self.heard[clouds[name].topic] = clouds[name].at_s
         return merged([self._part(name, clouds[name]) for name in names], self._frame.planning_frame)
 
-    def pose(self, recorded: Recorded) -> Array:
-        """Return a target x y z qx qy qz qw in the planning frame."""
-        p, o = recorded.msg.pose.position, recorded.msg.pose.orientation
-        try:
-            T_frame_tool = pose_to_matrix([p.x, p.y, p.z, o.x, o.y, o.z, o.w])
-        except ProblemError as error:
-            raise SceneError(f"{recorded.topic} cannot be used: {error}") from None
+    def target(self) -> dict[str, Any]:
+        """Return the newest target of any kind as the fields of a scene, in the planning frame; none where none was recorded."""
+        newest: dict[str, Recorded] = {}
+        for name in TARGETS:
+            try:
+                recorded = self.newest(name)
+            except SceneError:
+                if len([other for other in TARGETS if other in self._topics]) == 1:
+                    raise
+                continue  # of several kinds, one that begins later does not count yet
+            if recorded is not None:
+                newest[name] = recorded
+        if not newest:
+            return {}
+        name = max(newest, key=lambda name: newest[name].at_s)
+        recorded = newest[name]
+        for other in newest.values():
+            if other is not recorded:
+                self.heard.pop(other.topic, None)
         T_planning_data, T_now_then = self._place(recorded)
-        T = T_planning_data @ T_frame_tool
-        return matrix_to_pose(T if T_now_then is None else T_now_then @ T)
+        T = T_planning_data if T_now_then is None else T_now_then @ T_planning_data
+        if name == "fruit_target":
+            p = recorded.msg.point
+            centre = np.array([p.x, p.y, p.z])
+            if not np.isfinite(centre).all():
+                raise SceneError(f"{recorded.topic} cannot be used: the fruit's centre has a number that is not finite")
+            return {"fruit_centres": (T[:3, :3] @ centre + T[:3, 3])[None]}
+        poses = recorded.msg.poses if name == "grasp_candidates" else [recorded.msg.pose]
+        placed = [self._pose(pose, T, recorded.topic) for pose in poses]
+        return {"target_pose": placed[0]} if name == "grasp_target" else {"grasp_candidates": np.array(placed).reshape(-1, 7)}
+
+    @staticmethod
+    def _pose(pose: Any, T: Array, topic: str) -> Array:
+        p, o = pose.position, pose.orientation
+        try:
+            return matrix_to_pose(T @ pose_to_matrix([p.x, p.y, p.z, o.x, o.y, o.z, o.w]))
+        except ProblemError as error:
+            raise SceneError(f"{topic} cannot be used: {error}") from None
 
     def _part(self, name: str, recorded: Recorded) -> Scene:
         frame = self._frame

@@ -13,7 +13,8 @@ from lime_planner.core.geometry import matrix_to_pose, pose_to_matrix
 from lime_planner.scene.arrays import frozen, numbers
 
 #: Fields of a scene, and of its file, that move and grow with the points, and those that only grow.
-MOVED = ("points", "leaf_points", "stem_points", "fruit_points", "stake_points", "leaf_triangles", "fruit_centres", "target_pose")
+_POSES = ("target_pose", "grasp_candidates")
+MOVED = ("points", "leaf_points", "stem_points", "fruit_points", "stake_points", "leaf_triangles", "fruit_centres", *_POSES)
 SCALED = ("fruit_radii", "stem_displacement_m", "leaf_displacement_m")
 
 
@@ -27,7 +28,7 @@ def placed(arrays: Mapping[str, Any], scale: float, offset_xyz: npt.ArrayLike) -
         return placed
     for name in (name for name in MOVED if name in arrays):
         value = np.array(numbers(name, arrays[name]), dtype=np.float64)
-        if value.shape[-1:] != ((7,) if name == "target_pose" else (3,)):
+        if value.shape[-1:] != ((7,) if name in _POSES else (3,)):
             continue  # `Scene` refuses it with its shape
         value[..., :3] *= scale
         value[..., :3] += offset
@@ -44,6 +45,8 @@ def carried(arrays: Mapping[str, Any], T: npt.ArrayLike) -> dict[str, Any]:
     for name, value in arrays.items():
         if name == "target_pose":
             moved[name] = matrix_to_pose(motion @ pose_to_matrix(value))
+        elif name == "grasp_candidates":
+            moved[name] = np.array([matrix_to_pose(motion @ pose_to_matrix(pose)) for pose in value]).reshape(-1, 7)
         else:
             moved[name] = value.astype(np.float64) @ motion[:3, :3].T + motion[:3, 3]
     return moved

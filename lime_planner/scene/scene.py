@@ -29,6 +29,7 @@ FRUIT_RADIUS_M = 0.03  #: what is let go of such a cluster: its points this clos
 
 _TRUTH = ("leaf_triangles", "leaf_triangle_ids", "fruit_centres", "fruit_radii")
 _DISPLACEMENTS = ("stem_displacement_m", "leaf_displacement_m")
+_POSES = ("target_pose", "grasp_candidates")
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
@@ -42,6 +43,7 @@ class Scene:
         fruit_points: (K, 3) float32, every fruit, the target's too (see `impermeable_points`).
         frame_id: the frame of all points.
         target_pose: (7,) float64 x y z qx qy qz qw, T_base_tool at the grasp, or None.
+        grasp_candidates: (P, 7) float64 such poses, any of which will do, or None.
         counts: what was received and what was dropped on the way here, by reason [points].
         stem_displacement_m: no received stem or fruit point inside the crop is farther than this from a kept one.
         leaf_displacement_m: the same for the leaf points that were not outliers.
@@ -59,6 +61,7 @@ class Scene:
     fruit_points: Float32
     frame_id: str = DEFAULT_FRAME
     target_pose: Array | None = None
+    grasp_candidates: Array | None = None
     counts: Mapping[str, int] = dataclasses.field(default_factory=dict)
     stem_displacement_m: float = 0.0
     leaf_displacement_m: float = 0.0
@@ -80,6 +83,7 @@ class Scene:
             "stem_points": (np.float32, (-1, 3)),
             "fruit_points": (np.float32, (-1, 3)),
             "target_pose": (np.float64, (7,)),
+            "grasp_candidates": (np.float64, (-1, 7)),
             "leaf_ids": (np.int32, (n_leaf,)),
             "leaf_triangles": (np.float32, (-1, 3, 3)),
             "leaf_triangle_ids": (np.int32, (n_triangles,)),
@@ -178,7 +182,7 @@ class Scene:
             members["permeability_cost"] = costs
         if self.leaf_ids is not None:
             members["leaf_ids"] = np.concatenate([self.leaf_ids, np.full(len(points) - len(self.leaf_ids), -1, dtype=np.int32)])
-        members.update({name: value for name in ("target_pose", *_TRUTH) if (value := getattr(self, name)) is not None})
+        members.update({name: value for name in (*_POSES, *_TRUTH) if (value := getattr(self, name)) is not None})
         members.update({name: value for name in _DISPLACEMENTS if (value := getattr(self, name)) > 0.0})
         write_members(path, members, start)
 

@@ -41,6 +41,7 @@ class LimeStar(Planner[LimeOptions]):
             query.goals,
             options,
             query.seed,
+            terminal_costs=query.terminal_costs,
             iterations=query.iterations,
             should_stop=query.should_stop,
             deadline_s=query.deadline_s,

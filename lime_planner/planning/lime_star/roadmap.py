@@ -50,7 +50,8 @@ class Roadmap(NamedTuple):
         ends: (E, 2) int32; length, cost: (E,); known: (E,) uint8.
         first: (V,) head of a vertex's list of half edges, -1; after: (2 E,) next half edge. Half edge 2 e + s leads from ends[e, s].
         terminal: (V,) what ending at a goal costs; only the goals' places count.
-        to_come: (V,) cost from the vertex over the cheapest goal as found, its terminal cost included; via: (V,) half edge that leads there, -1.
+        to_come: (V,) cost from the vertex over the cheapest goal as found, its terminal cost included.
+        via: (V,) half edge that leads there, -1.
         key, item: the queue: a heap of (estimated total, half edge that leads to the vertex reached last).
         near, near_distance: scratch of a scan.
     """

@@ -76,9 +76,7 @@ def empty_track(tracks: Any, t: int) -> None:
 
 
 @kernel
-def load_track(
-    space: Any, tracks: Any, t: int, path: Any, count: int, terminal: float, weight: float, step: float, bound: float
-) -> bool:
+def load_track(space: Any, tracks: Any, t: int, path: Any, count: int, terminal: float, weight: float, step: float, bound: float) -> bool:
     """Put a path (M, n) of valid edges into track t; its cost is evaluated and the goal's terminal cost added.
 
     False, and the track is empty, above `bound`.

@@ -55,6 +55,7 @@ class PaperPlanner(Planner[PaperOptions]):
             query.goals,
             options,
             query.seed,
+            terminal_costs=query.terminal_costs,
             iterations=query.iterations,
             should_stop=query.should_stop,
             deadline_s=query.deadline_s,

@@ -197,18 +197,22 @@ def grow(space: Any, field: Any, rules: Any, goals: Any, tree: Any, samples: Any
 
 
 @hot_kernel
-def best_goal(space: Any, rules: Any, goals: Any, tree: Any) -> tuple[int, int, float]:
-    """Return node, goal and stored cost of the cheapest way from a node within the goal radius to a goal; node -1: none."""
+def best_goal(space: Any, rules: Any, goals: Any, terminal: Any, tree: Any) -> tuple[int, int, float]:
+    """Return node, goal and stored cost of the cheapest way from a node within the goal radius to a goal; node -1: none.
+
+    What a goal costs, `terminal` (G,), is part of the choice and of the stored cost.
+    """
     best, best_index, best_cost = -1, -1, np.inf
     for g in range(goals.shape[0]):
         for j in range(tree.size[0]):
             length = distance(space, tree.rows[j], goals[g])
-            if length > rules.goal_radius or tree.cost[j] + length >= best_cost:
+            come = tree.cost[j] + terminal[g]
+            if length > rules.goal_radius or come + length >= best_cost:
                 continue
-            bound = best_cost - tree.cost[j]
+            bound = best_cost - come
             cost = edge_cost(space, rules, tree.rows[j], goals[g], length, tree.intensity[j], bound)
-            if tree.cost[j] + cost < best_cost:
-                best, best_index, best_cost = j, g, tree.cost[j] + cost
+            if come + cost < best_cost:
+                best, best_index, best_cost = j, g, come + cost
     return best, best_index, best_cost
 
 

@@ -98,9 +98,11 @@ def _configurations(values: npt.ArrayLike, name: str, n: int) -> Array:
 class _Run:
     """One search: the tree, the sample stream and the clock."""
 
-    def __init__(self, space: Any, start: Array, goals: Array, options: PaperOptions, rng: np.random.Generator, capacity: int) -> None:
+    def __init__(
+        self, space: Any, start: Array, goals: Array, terminal: Array, options: PaperOptions, rng: np.random.Generator, capacity: int
+    ) -> None:
         n = len(space.lower)
-        self.space, self.goals, self.options, self.rng = space, goals, options, rng
+        self.space, self.goals, self.terminal, self.options, self.rng = space, goals, terminal, options, rng
         self.lower, self.width = np.asarray(space.lower), np.asarray(space.upper) - np.asarray(space.lower)
         self.rules = options.rules()
         self.field = Field(
@@ -118,7 +120,7 @@ class _Run:
         add_node(self.tree, start, max(self.state(start), 0.0), -1, 0.0)
         # Compile (or load) everything before the clock starts.
         self.grow(0)
-        kernels.best_goal(space, self.rules, goals[:0], self.tree)
+        kernels.best_goal(space, self.rules, goals[:0], terminal[:0], self.tree)
         kernels.measure(space, np.empty((0, n)), 1.0)
         self.began_s = time.monotonic()
 
@@ -145,7 +147,7 @@ class _Run:
         self.iterations += count
 
     def snapshot(self) -> Snapshot:
-        node, goal, stored = kernels.best_goal(self.space, self.rules, self.goals, self.tree)
+        node, goal, stored = kernels.best_goal(self.space, self.rules, self.goals, self.terminal, self.tree)
         common = (self.iterations, self.elapsed_s(), int(self.tree.size[0]))
         if node < 0:
             return Snapshot(*common, None, -1, math.inf, math.inf, math.inf, math.inf, 0)
@@ -162,6 +164,7 @@ def plan_paper(
     options: PaperOptions,
     seed: int | np.random.Generator,
     *,
+    terminal_costs: npt.ArrayLike | None = None,
     iterations: int | None = None,
     should_stop: Callable[[], bool] | None = None,
     deadline_s: float | None = None,
@@ -178,18 +181,22 @@ def plan_paper(
         goals: one configuration (n,) or several (G, n); invalid ones are left out.
         options: algorithm, gains and readings.
         seed: a seed, or a generator to draw from.
+        terminal_costs: (G,) finite and not negative, what ending at each goal adds to the cost; zeros by default.
         iterations: budget; rejected iterations count. None: until the deadline or `should_stop`.
         should_stop: returns True to cancel.
         deadline_s: planning time from this call on [s].
         marks: iteration numbers of one and the same run at which a snapshot is kept.
 
     Raises:
-        ProblemError: malformed start, goals, budget or marks.
+        ProblemError: malformed start, goals, terminal costs, budget or marks.
     """
     n = len(space.lower)
     starts, goal_array = _configurations(start, "start", n), _configurations(goals, "goals", n)
     if len(starts) != 1:
         raise ProblemError(f"start must be one configuration, got {len(starts)}")
+    terminal = np.zeros(len(goal_array)) if terminal_costs is None else np.ascontiguousarray(terminal_costs, dtype=np.float64)
+    if terminal.shape != (len(goal_array),) or not (np.isfinite(terminal).all() and (terminal >= 0.0).all()):
+        raise ProblemError(f"{len(goal_array)} goals need as many terminal costs, finite and not negative, got {terminal.tolist()}")
     if iterations is None and deadline_s is None and should_stop is None:
         raise ProblemError("give iterations, deadline_s or should_stop: the search has no end of its own")
     if iterations is not None and iterations < 0:
@@ -202,7 +209,8 @@ def plan_paper(
     counters_before = np.array(space.counters)
     capacity = min(iterations if iterations is not None else 2000, 20_000) + 1
     valid = np.array([kernels.evaluate_one(space, g) >= 0.0 for g in goal_array])
-    run = _Run(space, starts[0], goal_array[valid] if valid.any() else goal_array, options, generator, capacity)
+    used = valid if valid.any() else np.ones(len(goal_array), dtype=bool)
+    run = _Run(space, starts[0], goal_array[used], terminal[used], options, generator, capacity)
     if run.state(starts[0]) < 0.0:
         return _outcome(run, Status.START_INVALID, (), seed, counters_before)
     if not valid.any():
