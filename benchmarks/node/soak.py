@@ -141,7 +141,8 @@ def soak(
     more = [word for name, value in own.items() for word in ("-p", f"lime_planner:{name}:={value}")]
     with ExitStack() as stack:
         stack.enter_context(program(["-m", "lime_planner.ros.nodes.mock_arm_node", *arguments, "-p", f"start:={listed}"], domain))
-        scene = ["-m", "lime_planner.ros.nodes.scene_node", "--ros-args", "-p", f"labelled:={str(labelled).lower()}"]
+        shown = ["-p", f"labelled:={str(labelled).lower()}", "-p", "approach:=fixed"]
+        scene = ["-m", "lime_planner.ros.nodes.scene_node", "--ros-args", *shown]
         stack.enter_context(program(scene, domain, "publishing"))
         planner = stack.enter_context(
             program(["-m", "lime_planner.ros.nodes.planner_node", *arguments, *settings, *more], domain, "serving")

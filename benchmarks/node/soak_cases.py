@@ -9,7 +9,15 @@ ANSWER_S = 20.0  # later than this an answer is lost
 ARRIVED_RAD = 0.02  # from a motion's last point, when it has succeeded
 STEM_STOP_S = 1.5  # a stem on the rest of the path must have stopped the arm by then
 #: What the scene node is given besides seed and density.
-SCENE: dict[str, Any] = {"file": "", "label_field": "label", "scale": 1.0, "offset": [0.0, 0.0, 0.0], "target": [], "rate_hz": 0.0}
+SCENE: dict[str, Any] = {
+    "file": "",
+    "label_field": "label",
+    "scale": 1.0,
+    "offset": [0.0, 0.0, 0.0],
+    "target": [],
+    "approach": "fixed",
+    "rate_hz": 0.0,
+}
 #: No fault at all.
 CALM: dict[str, Any] = {
     "noise_rad": 0.0,

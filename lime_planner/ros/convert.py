@@ -8,20 +8,22 @@ from __future__ import annotations
 
 import array
 from collections.abc import Sequence
+from typing import TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 from builtin_interfaces.msg import Duration, Time
-from geometry_msgs.msg import Pose, PoseStamped
+from geometry_msgs.msg import PointStamped, Pose, PoseArray, PoseStamped
 from nav_msgs.msg import Path
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from lime_planner.core.errors import ProblemError, Refusal
-from lime_planner.core.geometry import matrix_to_pose, pose_to_matrix
+from lime_planner.core.geometry import matrix_to_pose
 from lime_planner.core.status import Status
 from lime_planner.core.types import Array
 from lime_planner.motion.trajectory import Trajectory
+from lime_planner.pipeline.targets import MAX_CANDIDATES, Target, candidates_target, fruit_target, pose_target
 
 
 def stamp_s(stamp: Time) -> float:
@@ -110,16 +112,26 @@ def pose_array(pose: Pose) -> Array:
     return np.array([p.x, p.y, p.z, o.x, o.y, o.z, o.w], dtype=np.float64)
 
 
-def target_matrix(msg: PoseStamped) -> Array:
-    """Return T_frame_tool (4, 4) of a target in its own frame, the quaternion normalised.
+#: Messages that say what is to be reached: a pose of the tool, a fruit, or candidates.
+TargetMessage: TypeAlias = PoseStamped | PointStamped | PoseArray
+
+
+def read_target(msg: TargetMessage) -> Target:
+    """Return what a target message asks for, in its own frame; a pose is exact until the parameters say otherwise.
 
     Raises:
-        Refusal: BAD_INPUT: empty frame, a number that is not finite, a quaternion of length zero.
+        Refusal: BAD_INPUT: empty frame, a number that is not finite, a quaternion of length zero, no candidate, or too many.
     """
     if not msg.header.frame_id.strip("/ "):
         raise Refusal(Status.BAD_INPUT, "the target has an empty frame_id; it must name the frame of its pose")
     try:
-        return pose_to_matrix(pose_array(msg.pose))
+        if isinstance(msg, PointStamped):
+            return fruit_target([msg.point.x, msg.point.y, msg.point.z])
+        if isinstance(msg, PoseArray):
+            if len(msg.poses) > MAX_CANDIDATES:  # before anything is done with each of them
+                raise ProblemError(f"there are {len(msg.poses)} grasp candidates; at most {MAX_CANDIDATES} are allowed")
+            return candidates_target([pose_array(pose) for pose in msg.poses])
+        return pose_target(pose_array(msg.pose))
     except ProblemError as error:
         raise Refusal(Status.BAD_INPUT, f"the target cannot be used: {error}") from None
 

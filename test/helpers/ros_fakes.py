@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -13,8 +14,10 @@ import pytest
 from builtin_interfaces.msg import Time
 
 from lime_planner.core.errors import ProblemError, Refusal
+from lime_planner.core.geometry import pose_to_matrix
 from lime_planner.core.status import Status
 from lime_planner.motion.trajectory import Trajectory
+from lime_planner.pipeline.targets import target_of
 from lime_planner.ros.inputs.clouds import encode_cloud
 from lime_planner.ros.model_loader import Loaded
 
@@ -56,6 +59,10 @@ class FakeResult:
     tool_leaf: np.ndarray
     seed: int = 1
     T_base_tool: np.ndarray | None = None
+    target: Any = None
+    straight_from: int = 10**9
+    approaches: np.ndarray = field(default_factory=lambda: np.zeros((0, 7)))
+    approach_outcomes: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))
 
     def figures(self) -> dict[str, Any]:
         known = {"status": self.status.name, "message": self.message, "planner": "fake", "seed": self.seed}
@@ -96,7 +103,9 @@ class FakePipeline:
     def warm_up(self) -> None:
         time.sleep(self.warm_up_s)
 
-    def plan(self, scene: Any, T_base_tool: Any, q_start: Any, settings: Any, *, should_stop: Any, seed: int, **_: Any) -> FakeResult:
+    def plan(self, scene: Any, target: Any, q_start: Any, settings: Any, *, should_stop: Any, seed: int, **_: Any) -> FakeResult:
+        aim = target_of(target)
+        T_base_tool = pose_to_matrix(aim.shown_pose())
         if len(scene.stem_points) == 13:
             raise ProblemError("thirteen stems bring bad luck")
         if len(scene.stem_points) == 666:
@@ -106,16 +115,17 @@ class FakePipeline:
             time.sleep(0.002)
         if T_base_tool[2, 3] < 0.0:
             nothing = np.empty((0, 3)), None, np.empty((0, 7)), np.empty(0)
-            return FakeResult(Status.NO_IK_SOLUTION, "NO_IK_SOLUTION: out of reach", *nothing, seed, T_base_tool)
-        return result(q_start, q_start + T_base_tool[0, 3], self.duration_s, T_base_tool)
+            return FakeResult(Status.NO_IK_SOLUTION, "NO_IK_SOLUTION: out of reach", *nothing, seed, T_base_tool, target=aim)
+        return dataclasses.replace(result(q_start, q_start + T_base_tool[0, 3], self.duration_s, T_base_tool), target=aim)
 
     def recheck(self, plan: FakeResult, scene: Any, q: np.ndarray, settings: Any, *, should_stop: Any) -> tuple[Status, str]:
         if np.abs(plan.waypoints[0] - q).max() > 0.01:
             return Status.START_INVALID, "the arm has moved since"
         return Status.SUCCEEDED, "still free"
 
-    def follow(self, waypoints: np.ndarray, scene: Any, T_base_tool: Any, settings: Any, *, should_stop: Any) -> FakeResult:
-        return result(waypoints[0], waypoints[-1], self.duration_s, T_base_tool)
+    def follow(self, waypoints: np.ndarray, scene: Any, target: Any, settings: Any, **_: Any) -> FakeResult:
+        T_base_tool = None if target is None else pose_to_matrix(target.shown_pose())
+        return dataclasses.replace(result(waypoints[0], waypoints[-1], self.duration_s, T_base_tool), target=target)
 
     def obstruction(self, plan: FakeResult, scene: Any, settings: Any, *, should_stop: Any, from_time_s: float = 0.0) -> str | None:
         return "a stem stands 0.3 m ahead" if len(scene.stem_points) == 99 else None

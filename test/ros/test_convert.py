@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 from builtin_interfaces.msg import Time
-from geometry_msgs.msg import PoseStamped
+from geometry_msgs.msg import PointStamped, PoseArray, PoseStamped
 from ros_fakes import JOINTS, trajectory
 from sensor_msgs.msg import JointState
 
@@ -15,8 +15,8 @@ from lime_planner.core.errors import Refusal
 from lime_planner.core.status import Status
 from lime_planner.ros.convert import (
     JointReader,
+    read_target,
     stamp_text,
-    target_matrix,
     to_duration,
     to_joint_trajectory,
     to_path,
@@ -87,7 +87,7 @@ def target(pose: list[float], frame_id: str = "base") -> PoseStamped:
 
 
 def test_a_quaternion_of_any_length_is_a_target() -> None:
-    T = target_matrix(target([1.0, 2.0, 3.0, 0.0, 0.0, 2.0, 2.0]))
+    T = read_target(target([1.0, 2.0, 3.0, 0.0, 0.0, 2.0, 2.0])).poses[0]
     assert np.allclose(T[:3, 3], [1.0, 2.0, 3.0])
     assert np.allclose(T[:3, :3], [[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 
@@ -103,7 +103,44 @@ def test_a_quaternion_of_any_length_is_a_target() -> None:
 )
 def test_bad_targets_are_refused(pose: list[float], frame_id: str) -> None:
     with pytest.raises(Refusal) as caught:
-        target_matrix(target(pose, frame_id))
+        read_target(target(pose, frame_id))
+    assert caught.value.status is Status.BAD_INPUT
+
+
+def fruit(x: float, y: float = 0.0, z: float = 0.5, frame_id: str = "base") -> PointStamped:
+    msg = PointStamped()
+    msg.header.frame_id = frame_id
+    msg.point.x, msg.point.y, msg.point.z = x, y, z
+    return msg
+
+
+def candidates(count: int, bad: int | None = None) -> PoseArray:
+    poses = [to_pose([0.5, 0.0, 0.4, 0.0, math.nan if number == bad else 0.0, 0.0, 1.0]) for number in range(1, count + 1)]
+    msg = PoseArray(poses=poses)
+    msg.header.frame_id = "base"
+    return msg
+
+
+def test_fruit_and_candidates_are_targets() -> None:
+    aim = read_target(fruit(0.6))
+    assert aim.kind == "fruit" and aim.centre == pytest.approx([0.6, 0.0, 0.5])
+    aim = read_target(candidates(3))
+    assert aim.kind == "candidates" and len(aim.poses) == 3
+
+
+@pytest.mark.parametrize(
+    ("msg", "words"),
+    [
+        (fruit(math.nan), "3 finite numbers"),
+        (fruit(0.5, frame_id=""), "empty frame_id"),
+        (candidates(0), "empty list"),
+        (candidates(5000), "5000 grasp candidates; at most 2000"),
+        (candidates(20, bad=10), "grasp candidate 10 of 20"),
+    ],
+)
+def test_bad_fruit_and_candidates_are_refused(msg: PointStamped | PoseArray, words: str) -> None:
+    with pytest.raises(Refusal, match=words) as caught:
+        read_target(msg)
     assert caught.value.status is Status.BAD_INPUT
 
 

@@ -114,8 +114,8 @@ def test_joint_states_and_targets(names: list[str], positions: list[float], stam
         assert str(refusal)
     else:
         assert taken
-        assert np.isfinite(found.T_frame_tool).all()
-        assert abs(np.linalg.det(found.T_frame_tool[:3, :3]) - 1.0) < 1e-6
+        assert np.isfinite(found.aim.poses).all()
+        assert abs(np.linalg.det(found.aim.poses[0, :3, :3]) - 1.0) < 1e-6
     assert inputs.figures()
     inputs.trouble(0.3)
 

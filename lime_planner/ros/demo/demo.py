@@ -19,7 +19,7 @@ from lime_planner.core.parameters import PARAMETERS, parse_assignment, settings_
 from lime_planner.core.status import Status
 from lime_planner.robot.builtin import demo_arm
 from lime_planner.ros.demo.processes import Corner, DemoError, Processes
-from lime_planner.ros.demo.report import MOTION_TIMEOUT_S, Columns, Driven, report, verdict
+from lime_planner.ros.demo.report import MOTION_TIMEOUT_S, Columns, Driven, reached_for, report, verdict
 
 if TYPE_CHECKING:
     from lime_planner.core.types import Array
@@ -131,7 +131,9 @@ def scene_of(args: argparse.Namespace) -> Scene:
         scene = generate_plant(np.random.default_rng(args.plant_seed))
     else:
         scene = Scene.load(args.scene, scale=args.scale, offset=args.offset)
-    return scene if args.target is None else dataclasses.replace(scene, target_pose=np.asarray(args.target))
+    if args.target is None:
+        return scene
+    return dataclasses.replace(scene, target_pose=np.asarray(args.target), fruit_centres=None, fruit_radii=None)
 
 
 def completed_scene(scene: Scene, loaded: Loaded, planning: Mapping[str, Any], clock: Clock) -> Scene:
@@ -140,11 +142,15 @@ def completed_scene(scene: Scene, loaded: Loaded, planning: Mapping[str, Any], c
     Raises:
         DemoError: it is in another frame, or no drawn target can be reached.
     """
+    import numpy as np
+
+    from lime_planner.pipeline.scene_targets import own_target
+
     frame = loaded.robot.planning_frame
     scene = dataclasses.replace(scene, frame_id=scene.frame_id or frame)
     if scene.frame_id != frame:
         raise DemoError(f"the scene is in the frame {scene.frame_id!r}, the arm plans in {frame!r}", Status.TF_ERROR)
-    if scene.target_pose is None:
+    if own_target(scene, "exact", np.zeros(3)) is None:
         clock.say("the scene has no target; looking for a place in its canopy that the arm can reach")
         loaded.pipeline.warm_up()
         scene = _with_drawn_target(scene, loaded, planning)
@@ -231,10 +237,11 @@ def _follow(client: DemoClient, nodes: Processes, robot: Robot, scene: Scene, cl
     """Print where the tool is until the motion has ended and the arm rests."""
     import numpy as np
 
-    assert scene.target_pose is not None
     deadline = time.monotonic() + MOTION_TIMEOUT_S
+    grasp = reached_for(scene, client.status)
+    assert grasp is not None
     while not client.status.get("execution_code"):
-        distance_m = float(np.linalg.norm(robot.forward(client.states[-1])[:3, 3] - scene.target_pose[:3]))
+        distance_m = float(np.linalg.norm(robot.forward(client.states[-1])[:3, 3] - grasp[:3]))
         clock.say(f"the arm moves; the tool is {1000.0 * distance_m:.0f} mm from the target")
         next_line = time.monotonic() + 1.0
         while time.monotonic() < next_line and not client.status.get("execution_code"):
@@ -246,14 +253,19 @@ def _follow(client: DemoClient, nodes: Processes, robot: Robot, scene: Scene, cl
 
 
 def _compare(loaded: Loaded, scene: Scene, q_start: Array, planning: Mapping[str, Any]) -> Columns:
-    """Plan the same reach with leaves as solid obstacles, and with leaves ignored (their contact still counted)."""
-    from lime_planner.core.geometry import pose_to_matrix
+    """Plan the same reach to the pose that came with the scene, with leaves as solid obstacles, and with leaves ignored (but counted)."""
+    from lime_planner.pipeline.scene_targets import own_target
+    from lime_planner.pipeline.targets import pose_target
 
-    assert scene.target_pose is not None
+    own = own_target(scene, "exact", loaded.robot.forward(q_start)[:3, 3])
+    assert own is not None
     loaded.pipeline.warm_up()
+    cases = [("leaves solid", "solid", own), ("leaves ignored", "ignored", own)]
+    if own.kind == "fruit" and scene.target_pose is not None:
+        cases.insert(0, ("fixed pose", "permeable", pose_target(scene.target_pose)))
     columns: Columns = []
-    for heading, policy in (("leaves solid", "solid"), ("leaves ignored", "ignored")):
+    for heading, policy, aim in cases:
         settings = settings_from({**planning, "leaf_policy": policy})
-        result = loaded.pipeline.plan(scene, pose_to_matrix(scene.target_pose), q_start, settings, seed=settings.seed or 1)
+        result = loaded.pipeline.plan(scene, aim, q_start, settings, seed=settings.seed or 1)
         columns.append((heading, result.figures()))
     return columns

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import json
 import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -53,15 +54,28 @@ def report(args: argparse.Namespace, robot: Robot, scene: Scene, driven: Driven,
     write_json(args.out / "demo.json", {"driven": figures, **{heading.replace(" ", "_"): dict(column) for heading, column in comparisons}})
     measured = driven.success
     extra = [
-        ("motion", [str(figures.get("execution_code", "–")), "not driven", "not driven"]),
-        ("goal error, measured [mm]", [f"{1000.0 * error_m:.3f}" if measured else "–", "–", "–"]),
-        ("goal error, measured [mrad]", [f"{1000.0 * error_rad:.3f}" if measured else "–", "–", "–"]),
+        ("motion", [str(figures.get("execution_code", "–")), *["not driven"] * len(comparisons)]),
+        ("goal error, measured [mm]", [f"{1000.0 * error_m:.3f}" if measured else "–", *["–"] * len(comparisons)]),
+        ("goal error, measured [mrad]", [f"{1000.0 * error_rad:.3f}" if measured else "–", *["–"] * len(comparisons)]),
     ]
     print()
+    driven_as = "free approach" if figures.get("target_kind") == "fruit" else "leaves cost"
     where = args.scene.name if args.scene else "a generated lime plant"
-    print_plans(f"Reach to a target in {where}", [("leaves cost", figures), *comparisons], extra)
+    print_plans(
+        f"Reach to a target in {where}",
+        [(driven_as, figures), *comparisons],
+        extra,
+    )
     print()
     return picture
+
+
+def reached_for(scene: Scene, figures: Mapping[str, Any]) -> Array | None:
+    """Return the grasp (7,) that the planner chose, as its status says, else the scene's own; None without either."""
+    import numpy as np
+
+    chosen = figures.get("grasp")
+    return np.array(json.loads(chosen)) if chosen else scene.target_pose
 
 
 def verdict(robot: Robot, scene: Scene, driven: Driven) -> int:
@@ -108,9 +122,10 @@ def _goal_error(robot: Robot, scene: Scene, driven: Driven) -> tuple[float, floa
 
     from lime_planner.core.geometry import pose_to_matrix
 
-    if not len(driven.states) or scene.target_pose is None:
+    grasp = reached_for(scene, driven.figures)
+    if not len(driven.states) or grasp is None:
         return float("inf"), float("inf")
-    T_base_target, T_base_tool = pose_to_matrix(scene.target_pose), robot.forward(driven.states[-1])
+    T_base_target, T_base_tool = pose_to_matrix(grasp), robot.forward(driven.states[-1])
     turn = Rotation.from_matrix(T_base_target[:3, :3].T @ T_base_tool[:3, :3])
     return float(np.linalg.norm(T_base_tool[:3, 3] - T_base_target[:3, 3])), float(turn.magnitude())
 
@@ -132,7 +147,7 @@ def _picture(args: argparse.Namespace, robot: Robot, scene: Scene, driven: Drive
         settings = settings_from({})
         checker = ExactChecker(
             robot,
-            scene.impermeable_points(scene.target_pose[:3] if scene.target_pose is not None else None, settings.target_exclusion_radius_m),
+            scene.impermeable_points(None, 0.0),
             point_radius_m=settings.stem_point_radius_m,
             leaf_points=scene.leaf_points,
             leaf_point_radius_m=settings.leaf_point_radius_m,
@@ -142,4 +157,5 @@ def _picture(args: argparse.Namespace, robot: Robot, scene: Scene, driven: Drive
             "tool_path": np.array([robot.forward(q)[:3, 3] for q in shown]),
             "tool_leaf": np.array([float(checker.leaf_contact(q)) for q in shown]),
         }
-    return draw_picture(args.out / "demo.png", scene, robot, q_start=states[0], target_pose=scene.target_pose, title=title, **options)
+    options |= {"q_start": states[0], "target_pose": reached_for(scene, driven.figures), "title": title}
+    return draw_picture(args.out / "demo.png", scene, robot, **options)

@@ -12,7 +12,8 @@ from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
 from lime_planner.core.geometry import matrix_to_pose, pose_to_matrix
-from lime_planner.core.types import Array
+from lime_planner.core.types import Array, Int64
+from lime_planner.pipeline.goals import ARM_BLOCKED, FREE, HAND_BLOCKED, NO_ROOM, OUT_OF_REACH
 from lime_planner.pipeline.plan_record import PlanRecord
 from lime_planner.ros.convert import to_pose
 
@@ -26,6 +27,16 @@ _FREE = (0.10, 0.45, 0.85, 1.0)
 _TOUCHING = (0.90, 0.25, 0.10, 1.0)
 
 
+#: What became of an approach: name and colour of its line.
+_OUTCOMES = {
+    FREE: ("free", (0.15, 0.65, 0.30, 0.9)),
+    HAND_BLOCKED: ("hand_blocked", (0.85, 0.20, 0.10, 0.5)),
+    ARM_BLOCKED: ("arm_blocked", (0.95, 0.55, 0.10, 0.6)),
+    NO_ROOM: ("no_room", (0.55, 0.35, 0.75, 0.6)),
+    OUT_OF_REACH: ("out_of_reach", (0.5, 0.5, 0.5, 0.4)),
+}
+_APPROACHES = 600  # lines at most
+_GAP_M, _LINE_M = 0.05, 0.05  # how far from the target they end, and how long they are
 _GOAL_ARM = (0.55, 0.60, 0.70, 0.45)
 _TREE = (0.5, 0.5, 0.5, 0.4)
 
@@ -112,6 +123,20 @@ class _Picture:
             sphere = self._marker("excluded_sphere", Marker.SPHERE, (2.0 * radius_m,) * 3, (0.85, 0.1, 0.6, 0.15))
             sphere.pose = to_pose(matrix_to_pose(T_base_tool))
 
+    def approaches(self, poses: Array, outcomes: Int64) -> None:
+        """Add the approaches that were tried, (A, 7), as short lines along the palm's axis, coloured by what became of them."""
+        if not len(poses):
+            return
+        step = -(-len(poses) // _APPROACHES)
+        matrices = np.array([pose_to_matrix(pose) for pose in poses[::step]])
+        tips = matrices[:, :3, 3] - _GAP_M * matrices[:, :3, 2]
+        tails = tips - _LINE_M * matrices[:, :3, 2]
+        for outcome, (name, rgba) in _OUTCOMES.items():
+            chosen = outcomes[::step] == outcome
+            if chosen.any():
+                line = self._marker(f"approaches_{name}", Marker.LINE_LIST, (0.0015, 0.0, 0.0), rgba)
+                line.points = _points(np.stack([tails[chosen], tips[chosen]], axis=1).reshape(-1, 3))
+
     def boxes(self, boxes: tuple[float, ...]) -> None:
         """Add keep-out boxes: min x y z, max x y z each."""
         for k in range(0, len(boxes), 6):
@@ -138,7 +163,9 @@ def markers(record: PlanRecord, stamp: Time, extras: Extras | None = None) -> Ma
     picture.cloud("fruit", scene.fruit_points, _FRUIT)
     picture.boxes(settings.keep_out_boxes)
     if record.target is not None:
-        picture.target(pose_to_matrix(record.target), settings.target_exclusion_radius_m)
+        exact = result.target is None or result.target.exact
+        picture.target(pose_to_matrix(record.target), settings.target_exclusion_radius_m if exact else 0.0)
+    picture.approaches(result.approaches, result.approach_outcomes)
     picture.cloud("touched_leaves", extras.touched, _TOUCHING, 0.007)
     picture.body("goal_arm", extras.goal_arm, _GOAL_ARM)
     picture.tree(extras.tree)

@@ -7,14 +7,13 @@ import threading
 import time
 from typing import TYPE_CHECKING, NamedTuple
 
-from geometry_msgs.msg import PoseStamped
+from geometry_msgs.msg import PointStamped, PoseStamped
 from rclpy.parameter import Parameter as RosParameter
 
 from lime_planner.core.errors import LimePlannerError, Refusal
-from lime_planner.core.geometry import matrix_to_pose
 from lime_planner.core.status import Status
 from lime_planner.core.types import Array
-from lime_planner.ros.convert import to_pose
+from lime_planner.ros.convert import TargetMessage, to_pose
 from lime_planner.ros.requests.jobs import Requests
 from lime_planner.ros.requests.parts import NodeParts, PlannedRequest
 from lime_planner.ros.requests.services import Services
@@ -59,7 +58,7 @@ class NodeBackend:
         self._scene_due_s = 0.0
         self._missing = ""
         self._ended = ""
-        self._target_msg: PoseStamped | None = None
+        self._target_msg: TargetMessage | None = None
         self._target: Array | None = None
 
     def show(self, planned: PlannedRequest) -> None:
@@ -114,16 +113,22 @@ class NodeBackend:
                 return
 
         def job(ticket: Ticket) -> Answer:
-            if wishes.target is None:
+            if wishes.target is None and wishes.fruit is None:
                 return self._requests.preview(ticket)
             loaded = parts.loader.wait_loaded(parts.parameters.snapshot.node.warm_up_timeout_s, ticket.should_stop)
-            goal = PoseStamped()
+            goal: PoseStamped | PointStamped
+            if wishes.target is not None:
+                goal = PoseStamped(pose=to_pose(wishes.target))
+            else:
+                assert wishes.fruit is not None
+                goal = PointStamped()
+                goal.point.x, goal.point.y, goal.point.z = (float(v) for v in wishes.fruit)
             goal.header.frame_id = loaded.robot.planning_frame
             goal.header.stamp = parts.node.get_clock().now().to_msg()
-            goal.pose = to_pose(wishes.target)
             return self._requests.preview_to(ticket, goal)
 
-        parts.worker.submit("preview" if wishes.target is None else "preview_to", job, self._services.finish)
+        elsewhere = wishes.target is not None or wishes.fruit is not None
+        parts.worker.submit("preview_to" if elsewhere else "preview", job, self._services.finish)
 
     def execute(self, number: int) -> None:
         """Ask for the execution of the plan that was confirmed, and of no other."""
@@ -210,8 +215,8 @@ class NodeBackend:
         try:
             target = parts.inputs.target(0.0, 0.0)
             if target.msg is not self._target_msg:
-                T = parts.source.goal(target, parts.parameters.snapshot, lambda: True)  # nothing is waited for
-                self._target, self._target_msg = matrix_to_pose(T), target.msg
+                aim = parts.source.goal(target, parts.parameters.snapshot, lambda: True)  # nothing is waited for
+                self._target, self._target_msg = aim.shown_pose(), target.msg
         except Refusal:
             self._target, self._target_msg = None, None
         return self._target

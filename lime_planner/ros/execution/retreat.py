@@ -11,6 +11,7 @@ from lime_planner.core.errors import Refusal
 from lime_planner.core.geometry import whole_turns
 from lime_planner.core.status import Status
 from lime_planner.core.types import Array
+from lime_planner.pipeline.targets import Target as Aim
 from lime_planner.ros.inputs.latest import Target
 
 #: Farther from the path than this the way back is unknown [rad, over all joints].
@@ -27,12 +28,14 @@ class Path:
 
     Attributes:
         waypoints: (M, n) [rad], M >= 2.
-        T_base_tool: the newest target it led to, (4, 4), or None.
+        aim: the newest target that it led to, in the planning frame, or None.
+        straight_from: (n,) where the straight stretch to it began [rad]; None where it has none.
         target: that target as it came in.
     """
 
     waypoints: Array
-    T_base_tool: Array | None = None
+    aim: Aim | None = None
+    straight_from: Array | None = None
     target: Target | None = None
 
 
@@ -94,6 +97,19 @@ def nearest_turns(waypoints: npt.ArrayLike, q: npt.ArrayLike, continuous: npt.Ar
     turns = np.unique([whole_turns(here - waypoint, mask) for waypoint in path], axis=0)
     distances = [nearest_on_path(path + shift, here)[1] for shift in turns]
     return np.asarray(path + turns[int(np.argmin(distances))], dtype=np.float64)
+
+
+def straight_back(path: Path, waypoints: Array) -> slice | None:
+    """Return which waypoints (K, n) of a way back lead along the path's straight stretch, None where it has none.
+
+    The first waypoint is where the arm rests; those of the stretch follow, and the last of them is where the stretch began.
+    """
+    if path.straight_from is None:
+        return None
+    turns = (waypoints - path.straight_from) / (2.0 * np.pi)
+    apart = np.abs(turns - np.rint(turns)).max(axis=1)
+    end = int(apart.argmin())
+    return slice(0, end + 1) if apart[end] < 1e-6 and end > 0 else None
 
 
 def way_back(waypoints: npt.ArrayLike, q: npt.ArrayLike) -> Array:

@@ -13,22 +13,30 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy.typing as npt
-from geometry_msgs.msg import PoseStamped
+from geometry_msgs.msg import PointStamped, PoseArray, PoseStamped
 from sensor_msgs.msg import JointState, PointCloud2
 
 from lime_planner.core.errors import Refusal
 from lime_planner.core.status import Status
-from lime_planner.core.types import Array
-from lime_planner.ros.convert import JointReader, stamp_s, target_matrix
+from lime_planner.pipeline.targets import Target as Aim
+from lime_planner.ros.convert import JointReader, TargetMessage, read_target, stamp_s
 from lime_planner.ros.inputs.arm_at_clouds import ArmAtClouds
 from lime_planner.ros.inputs.clouds import check_layout
 from lime_planner.ros.inputs.joint_states import ArmState, JointHistory
 from lime_planner.scene.from_clouds import CLOUDS
 
+#: Inputs that say what is to be reached; the newest of all counts.
+TARGETS: dict[str, type[TargetMessage]] = {"grasp_target": PoseStamped, "fruit_target": PointStamped, "grasp_candidates": PoseArray}
+
 #: Joint states kept as they came, for an arm that becomes known later.
 _RECENT_STATES = 50
 #: Of these, those kept with a cloud: the gripper's may come between the arm's.
 _FEW_STATES = 6
+
+
+def input_of(msg: TargetMessage) -> str:
+    """The name of the input that a target's message belongs to."""
+    return next(name for name, kind in TARGETS.items() if isinstance(msg, kind))
 
 
 @dataclass(frozen=True)
@@ -145,13 +153,13 @@ class Target:
     """A target that passed its check.
 
     Attributes:
-        T_frame_tool: (4, 4), in the frame of its message.
+        aim: what is to be reached, in the frame of its message.
         msg: the message.
         sample: how it came in, if by the topic; such a one ages, and is withdrawn by an invalid one after it.
     """
 
-    T_frame_tool: Array
-    msg: PoseStamped
+    aim: Aim
+    msg: TargetMessage
     sample: Sample | None = None
 
 
@@ -169,7 +177,8 @@ class Inputs:
         self.warn = warn
         self._reader: JointReader | None = None
         self._recent: deque[tuple[JointState, float, float]] = deque(maxlen=_RECENT_STATES)
-        self.slots = {name: Slot(name) for name in (*CLOUDS, "grasp_target")}
+        self.slots = {name: Slot(name) for name in (*CLOUDS, *TARGETS)}
+        self.newest_target = "grasp_target"
         self.joints = JointHistory()
         self.arm_at_clouds = ArmAtClouds(self.joints)
 
@@ -203,9 +212,11 @@ class Inputs:
         assert sample is not None
         self.arm_at_clouds.arrived(name, sample.number, sample.stamp_s, [msg for msg, _, _ in list(self._recent)[-_FEW_STATES:]])
 
-    def on_target(self, msg: PoseStamped) -> bool:
-        """Take in a target; a bad one takes the place of the one before, so that nothing falls back to an older lime."""
-        refusal = self.slots["grasp_target"].put(msg, stamp_s(msg.header.stamp), self._ros_now_s(), target_matrix)
+    def on_target(self, msg: TargetMessage) -> bool:
+        """Take in a target of any kind; the newest counts, and a bad one clears the one before: nothing falls back to an older lime."""
+        name = input_of(msg)
+        refusal = self.slots[name].put(msg, stamp_s(msg.header.stamp), self._ros_now_s(), read_target)
+        self.newest_target = name
         if refusal is not None:
             self.warn(refusal)
         return refusal is None
@@ -247,20 +258,21 @@ class Inputs:
         Raises:
             Refusal: NO_TARGET, BAD_INPUT, STALE_INPUT.
         """
-        slot = self.slots["grasp_target"]
+        name = self.newest_target
+        slot = self.slots[name]
         sample = slot.newest
         if sample is None:
             raise Refusal(Status.NO_TARGET, "no grasp target has been received")
         if sample.refusal is not None:
             raise Refusal(Status.BAD_INPUT, sample.refusal)
-        sample.check_time("grasp_target", max_age_s, max_ahead_s)
+        sample.check_time(name, max_age_s, max_ahead_s)
         slot.use(sample)
-        return Target(target_matrix(sample.msg), sample.msg, sample)
+        return Target(read_target(sample.msg), sample.msg, sample)
 
     def peek_target(self) -> Target | None:
         """Return the newest target if it is a valid one, whatever its age, without counting it as used."""
-        sample = self.slots["grasp_target"].newest
-        return None if sample is None or sample.refusal is not None else Target(target_matrix(sample.msg), sample.msg, sample)
+        sample = self.slots[self.newest_target].newest
+        return None if sample is None or sample.refusal is not None else Target(read_target(sample.msg), sample.msg, sample)
 
     def check_target(self, target: Target | None, max_age_s: float, max_ahead_s: float) -> None:
         """Check once more, before a motion is sent, a target that was taken from the topic.
@@ -270,10 +282,10 @@ class Inputs:
         """
         if target is None or target.sample is None:
             return
-        newest = self.slots["grasp_target"].newest
+        newest = self.slots[self.newest_target].newest
         if newest is not None and newest.refusal is not None:
             raise Refusal(Status.BAD_INPUT, f"the target was withdrawn by the one after it: {newest.refusal}")
-        target.sample.check_time("grasp_target", max_age_s, max_ahead_s)
+        target.sample.check_time(self.newest_target, max_age_s, max_ahead_s)
 
     def trouble(self, max_joint_state_age_s: float) -> list[str]:
         """Return what is wrong with the inputs now, a sentence each; an input that nothing has come on yet is not in trouble."""

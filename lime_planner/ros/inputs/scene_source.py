@@ -11,8 +11,9 @@ from lime_planner.core.errors import Refusal, SceneError
 from lime_planner.core.parameters import NodeSettings
 from lime_planner.core.status import Status
 from lime_planner.core.types import Array
+from lime_planner.pipeline.targets import Target as Aim
 from lime_planner.ros.inputs.frames import Frames
-from lime_planner.ros.inputs.latest import Inputs, Sample, Target
+from lime_planner.ros.inputs.latest import Inputs, Sample, Target, input_of
 from lime_planner.ros.inputs.placement import Placements
 from lime_planner.ros.parameters import Snapshot
 from lime_planner.scene.from_clouds import CLOUDS, ArmFilter, Labels, belonging_together, scene_of_cloud, without_arm
@@ -69,16 +70,15 @@ class SceneSource:
         if sample is not None and sample.refusal is None:
             self.placements.arrived(name, sample.number, sample.msg.header)
 
-    def goal(self, target: Target, snapshot: Snapshot, should_stop: Callable[[], bool]) -> Array:
-        """Return T_planning_tool (4, 4) of a target, where it is now.
+    def goal(self, target: Target, snapshot: Snapshot, should_stop: Callable[[], bool]) -> Aim:
+        """Return what a target asks for, in the planning frame, where it is now.
 
         Raises:
             Refusal: TF_ERROR; STALE_INPUT, the base moved since its stamp and there is no fixed frame.
         """
         number = None if target.sample is None else target.sample.number
-        T_planning_data, T_now_then = self.placements.place("grasp_target", number, target.msg.header, snapshot.node, should_stop)
-        T = T_planning_data @ target.T_frame_tool
-        return T if T_now_then is None else T_now_then @ T
+        T_planning_data, T_now_then = self.placements.place(input_of(target.msg), number, target.msg.header, snapshot.node, should_stop)
+        return target.aim.moved(T_planning_data if T_now_then is None else T_now_then @ T_planning_data)
 
     def newest_stem_number(self) -> int:
         """Return a number that changes whenever a cloud with stems arrives."""

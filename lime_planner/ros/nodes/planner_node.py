@@ -31,7 +31,7 @@ from lime_planner.core.errors import LimePlannerError, Refusal
 from lime_planner.core.status import Status
 from lime_planner.robot.model import Robot
 from lime_planner.ros import qos
-from lime_planner.ros.convert import to_joint_trajectory
+from lime_planner.ros.convert import TargetMessage, to_joint_trajectory
 from lime_planner.ros.display.displays import Displays
 from lime_planner.ros.display.marker_publisher import MarkerPublisher
 from lime_planner.ros.display.viewer_backend import Viewer, serve_page
@@ -40,7 +40,7 @@ from lime_planner.ros.execution.motion import Ended
 from lime_planner.ros.execution.stem_watch import StemWatch, make_look
 from lime_planner.ros.execution.stopping import make_stop
 from lime_planner.ros.inputs.frames import make_frames
-from lime_planner.ros.inputs.latest import Inputs
+from lime_planner.ros.inputs.latest import TARGETS, Inputs
 from lime_planner.ros.inputs.scene_source import SceneSource
 from lime_planner.ros.model_loader import FROM_TOPIC, Builder, Loaded, ModelLoader, build
 from lime_planner.ros.parameters import NodeParameters, Snapshot
@@ -107,7 +107,7 @@ class PlannerNode(Node):
         )
         self.watch = StemWatch(self.execution, make_look(self.source, self.loader, self.execution), self._warn)
         self.markers = MarkerPublisher(self._markers, self.loader, self.worker, self._now, self._warn)
-        display = Displays(self._tool_path, self.markers, self._now)
+        display = Displays(self._tool_path, self._target, self.markers, self._now)
         parts = NodeParts(
             node=self,
             parameters=self.params,
@@ -160,9 +160,9 @@ class PlannerNode(Node):
         self._subscriptions_by_offer = [
             qos.AdaptiveSubscription(self, PointCloud2, name, qos.NEWEST, self._safely(partial(self._on_cloud, name))) for name in CLOUDS
         ]
-        self._subscriptions_by_offer.append(
-            qos.AdaptiveSubscription(self, PoseStamped, "grasp_target", qos.NEWEST, self._safely(self._on_target))
-        )
+        self._subscriptions_by_offer += [
+            qos.AdaptiveSubscription(self, kind, name, qos.NEWEST, self._safely(self._on_target)) for name, kind in TARGETS.items()
+        ]
         self.create_subscription(JointState, "joint_states", self._safely(self._on_joint_state), qos.JOINT_STATES)
         if robot == FROM_TOPIC:
             self.create_subscription(String, "robot_description", self._safely(lambda msg: self.loader.offer(msg.data)), qos.LATCHED)
@@ -201,10 +201,11 @@ class PlannerNode(Node):
         if name != "leaf_cloud" and self.execution.motion is not None:
             self.watch.notice()
 
-    def _on_target(self, msg: PoseStamped) -> None:
+    def _on_target(self, msg: TargetMessage) -> None:
         if self.inputs.on_target(msg):
-            self.source.arrived("grasp_target")
-            self._target.publish(msg)
+            self.source.arrived(self.inputs.newest_target)
+            if isinstance(msg, PoseStamped):
+                self._target.publish(msg)  # of others the grasp that is chosen for them
 
     def _on_joint_state(self, msg: JointState) -> None:
         state = self.inputs.on_joint_state(msg)

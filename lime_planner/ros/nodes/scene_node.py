@@ -1,4 +1,4 @@
-"""Publishes a scene from a file or from the plant generator, in place of cameras: clouds and a grasp target."""
+"""Publishes a scene from a file or from the plant generator, in place of cameras: clouds, and a fruit or a grasp as the target."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import rclpy
-from geometry_msgs.msg import PoseStamped
+from geometry_msgs.msg import PointStamped, PoseStamped
 from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
 from rclpy.node import Node
 from rclpy.parameter import Parameter
@@ -20,6 +20,7 @@ from sensor_msgs.msg import PointCloud2
 from lime_planner.core.errors import LimePlannerError, ParameterError
 from lime_planner.core.geometry import matrix_to_pose, pose_to_matrix
 from lime_planner.core.types import Array
+from lime_planner.pipeline.scene_targets import own_target
 from lime_planner.ros import qos
 from lime_planner.ros.convert import to_pose
 from lime_planner.ros.inputs.clouds import encode_cloud
@@ -38,6 +39,7 @@ _PARAMETERS: tuple[tuple[str, Any, str], ...] = (
     ("seed", 7, "Seed of the plant, and of the target where the file has none."),
     ("density", "medium", f"Foliage of the plant: one of {', '.join(DENSITIES)}."),
     ("target", [], "Grasp pose x y z qx qy qz qw; empty: the scene's own, or a drawn one."),
+    ("approach", "free", "What the target is where the scene knows its fruit: `free` (fruit_target), `fixed` (grasp_target)."),
     ("labelled", False, "Publish `labelled_cloud` instead of `leaf_cloud` and `stem_cloud`."),
     ("rate_hz", 0.0, "Publish the clouds again this often with a new stamp; 0: once, for everyone who comes."),
     ("reliable", True, "Publish the clouds reliably and latched; false: best effort, as many camera drivers do."),
@@ -47,10 +49,11 @@ _TARGET_FRUIT_RADIUS_M = 0.06
 
 @dataclass(frozen=True)
 class _Published:
-    """A scene and the target that goes with it."""
+    """A scene and the target that goes with it: the pose of a grasp (7,), or the centre of a fruit (3,)."""
 
     scene: Scene
     target: Array | None
+    fruit: Array | None = None
 
 
 def make_scene(values: Mapping[str, Any]) -> _Published:
@@ -78,6 +81,11 @@ def make_scene(values: Mapping[str, Any]) -> _Published:
     given = [float(v) for v in values["target"]]
     if given:
         return _Published(scene, matrix_to_pose(pose_to_matrix(given)))
+    if values["approach"] not in ("free", "fixed"):
+        raise ParameterError(f"approach is {values['approach']!r}; allowed: free, fixed")
+    own = own_target(scene, "exact", np.zeros(3)) if values["approach"] == "free" else None
+    if own is not None and own.kind == "fruit":
+        return _Published(scene, scene.target_pose, own.centre)
     if scene.target_pose is not None:
         return _Published(scene, scene.target_pose)
     drawn = canopy_targets(scene, rng, 1) if len(scene.leaf_points) else []
@@ -131,6 +139,7 @@ class SceneNode(Node):
             for name in (("labelled_cloud",) if self.get_parameter("labelled").value else ("leaf_cloud", "stem_cloud"))
         }
         self._target = self.create_publisher(PoseStamped, "grasp_target", qos.LATCHED)
+        self._fruit = self.create_publisher(PointStamped, "fruit_target", qos.LATCHED)
         self._pending: _Published | None = None
         self.add_on_set_parameters_callback(self._check)
         self.add_post_set_parameters_callback(self._apply)
@@ -171,14 +180,20 @@ class SceneNode(Node):
 
     def _publish_all(self) -> None:
         self._publish_clouds()
-        scene, target = self._published.scene, self._published.target
-        if target is not None:
+        scene, target, fruit = self._published.scene, self._published.target, self._published.fruit
+        if fruit is not None:
+            point = PointStamped()
+            point.point.x, point.point.y, point.point.z = (float(v) for v in fruit)
+            point.header.frame_id, point.header.stamp = scene.frame_id, self.get_clock().now().to_msg()
+            self._fruit.publish(point)
+        elif target is not None:
             msg = PoseStamped(pose=to_pose(target))
             msg.header.frame_id, msg.header.stamp = scene.frame_id, self.get_clock().now().to_msg()
             self._target.publish(msg)
-        where = "no target" if target is None else f"target at {target[0]:.3f} {target[1]:.3f} {target[2]:.3f}"
-        leaves, stems, fruit = len(scene.leaf_points), len(scene.stem_points), len(scene.fruit_points)
-        self.get_logger().info(f"publishing {leaves} leaf, {stems} stem and {fruit} fruit points in {scene.frame_id}, {where}")
+        place, what = (target, "target") if fruit is None else (fruit, "target fruit")
+        where = "no target" if place is None else f"{what} at {place[0]:.3f} {place[1]:.3f} {place[2]:.3f}"
+        leaves, stems, limes = len(scene.leaf_points), len(scene.stem_points), len(scene.fruit_points)
+        self.get_logger().info(f"publishing {leaves} leaf, {stems} stem and {limes} fruit points in {scene.frame_id}, {where}")
 
     def _publish_clouds(self) -> None:
         stamp = self.get_clock().now().to_msg()
@@ -195,7 +210,7 @@ class SceneNode(Node):
             return encode_cloud(points, {"label": labels, "permeability_cost": costs})
         if name == "leaf_cloud":
             return encode_cloud(scene.leaf_points, {"permeability_cost": scene.leaf_costs})
-        position = None if target is None else target[:3]
+        position = None if target is None or self._published.fruit is not None else target[:3]  # a fruit is hard until it is held
         return encode_cloud(scene.impermeable_points(position, _TARGET_FRUIT_RADIUS_M))
 
 

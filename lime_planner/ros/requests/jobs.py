@@ -15,12 +15,13 @@ from geometry_msgs.msg import PoseStamped
 from lime_planner.core.errors import LimePlannerError, Refusal
 from lime_planner.core.geometry import matrix_to_pose
 from lime_planner.core.status import Status
-from lime_planner.core.types import Array
 from lime_planner.pipeline.plan_record import PlanRecord
 from lime_planner.pipeline.result import PlanResult
-from lime_planner.ros.convert import target_matrix
+from lime_planner.pipeline.targets import Target as Aim
+from lime_planner.pipeline.targets import pose_target
+from lime_planner.ros.convert import TargetMessage, read_target
 from lime_planner.ros.execution.motion import moves, on_turns_of
-from lime_planner.ros.execution.retreat import Path, nearest_turns, way_back
+from lime_planner.ros.execution.retreat import Path, nearest_turns, straight_back, way_back
 from lime_planner.ros.inputs.joint_states import ArmState
 from lime_planner.ros.inputs.latest import Target
 from lime_planner.ros.model_loader import Loaded
@@ -75,7 +76,7 @@ class Requests:
             target = None if previewed is None else previewed[1].target
         else:
             with contextlib.suppress(Refusal):  # the job will say what is wrong with it
-                target = self._inputs.peek_target() if goal is None else Target(target_matrix(goal), goal)
+                target = self._inputs.peek_target() if goal is None else Target(read_target(goal), goal)
         return RequestContext(target)
 
     def plan(self, ticket: Ticket) -> Answer:
@@ -102,10 +103,10 @@ class Requests:
         snapshot = self._begin(ticket)
         return self._preview(ticket, snapshot, lambda: self._target(ticket, snapshot))
 
-    def preview_to(self, ticket: Ticket, goal: PoseStamped) -> Answer:
-        """Plan to a pose and show it; the stored target stays."""
+    def preview_to(self, ticket: Ticket, goal: TargetMessage) -> Answer:
+        """Plan to a pose, or a fruit, and show it; the stored target stays."""
         snapshot = self._begin(ticket)
-        target = Target(target_matrix(goal), goal)
+        target = Target(read_target(goal), goal)
         self._note_target(ticket, target)
         return self._preview(ticket, snapshot, lambda: target)
 
@@ -159,11 +160,12 @@ class Requests:
                 number = self._source.newest_stem_number()
                 scene = self._source.scene(snapshot, ticket.should_stop)
                 self._show_phase(ticket, Phase.PLANNING)
-                T_base_tool, should_stop = path.T_base_tool, ticket.should_stop
+                aim, should_stop = path.aim, ticket.should_stop
+                straight = straight_back(path, waypoints)
                 result = self._guarded(
-                    lambda: loaded.pipeline.follow(waypoints, scene, T_base_tool, snapshot.plan, should_stop=should_stop)
+                    lambda: loaded.pipeline.follow(waypoints, scene, aim, snapshot.plan, straight=straight, should_stop=should_stop)
                 )
-                planned = self._record(scene, T_base_tool, None, result, snapshot, number)
+                planned = self._record(scene, None, result, snapshot, number)
                 self._present(ticket, planned)
                 if result.status is not Status.SUCCEEDED:
                     return _answer_of(result)
@@ -240,24 +242,25 @@ class Requests:
     def _planned(self, ticket: Ticket, loaded: Loaded, snapshot: Snapshot, target: Target, left_s: Left) -> PlannedRequest:
         began_s = time.monotonic()
         arm = self._arm_at_start(snapshot)
-        T_base_tool = self._source.goal(target, snapshot, ticket.should_stop)
+        aim = self._aim(self._source.goal(target, snapshot, ticket.should_stop), snapshot)
         number = self._source.newest_stem_number()
         scene = self._source.scene(snapshot, ticket.should_stop)
         decode_s = time.monotonic() - began_s
         seed = snapshot.plan.seed or int(np.random.default_rng().integers(1, 2**31 - 1))
         result = self._guarded(
-            lambda: loaded.pipeline.plan(
-                scene, T_base_tool, arm.q, snapshot.plan, should_stop=ticket.should_stop, deadline_s=left_s(), seed=seed
-            )
+            lambda: loaded.pipeline.plan(scene, aim, arm.q, snapshot.plan, should_stop=ticket.should_stop, deadline_s=left_s(), seed=seed)
         )
-        planned = self._record(scene, T_base_tool, target, result, snapshot, number)
+        planned = self._record(scene, target, result, snapshot, number)
         self._present(ticket, planned, inputs_s=decode_s, request_s=time.monotonic() - began_s)
         return planned
 
-    def _record(
-        self, scene: Scene, T_base_tool: Array | None, target: Target | None, result: PlanResult, snapshot: Snapshot, stem_number: int
-    ) -> PlannedRequest:
-        pose = None if T_base_tool is None else matrix_to_pose(T_base_tool)
+    @staticmethod
+    def _aim(aim: Aim, snapshot: Snapshot) -> Aim:
+        """What a target asks for; the parameters say what a pose leaves open."""
+        return pose_target(aim.poses[0], snapshot.plan.grasp_freedom) if aim.kind == "pose" else aim
+
+    def _record(self, scene: Scene, target: Target | None, result: PlanResult, snapshot: Snapshot, stem_number: int) -> PlannedRequest:
+        pose = None if result.T_base_tool is None else matrix_to_pose(result.T_base_tool)
         record = PlanRecord(next(self._numbers), scene, snapshot.plan, pose, result)
         return PlannedRequest(record, target, snapshot, stem_number)
 
@@ -315,7 +318,8 @@ class Requests:
             return Answer(Status.CANCELLED, "answered before it could be sent")  # never heard: the ticket has its answer
         self.previewed = None
         if not retreat:
-            path = Path(result.waypoints, result.T_base_tool, ticket.context.target)
+            straight = result.waypoints[result.straight_from] if result.straight_from < len(result.waypoints) - 1 else None
+            path = Path(result.waypoints, result.target, straight, ticket.context.target)
             self._execution.way_out.went(path, loaded.robot.continuous)
         if self._source.newest_stem_number() != number:
             self._watch.notice()

@@ -11,7 +11,7 @@ def about(plan_id: int, target: Target | None) -> str:
     """Return `[plan_id ..., target ...]`: which request a sentence is about, and which fruit."""
     words = f"plan_id {plan_id}"
     if target is not None:
-        x, y, z = (float(v) for v in target.T_frame_tool[:3, 3])
+        x, y, z = (float(v) for v in target.aim.centre)
         header = target.msg.header
         words += f", target {x:.4f} {y:.4f} {z:.4f} in {header.frame_id} stamped {stamp_text(header.stamp)}"
     return f"[{words}]"
@@ -25,7 +25,8 @@ def target_values(target: Target | None) -> dict[str, object]:
     return {
         "target_stamp": stamp_text(header.stamp),
         "target_frame": header.frame_id,
-        "target_position": [round(float(v), 6) for v in target.T_frame_tool[:3, 3]],
+        "target_kind": target.aim.kind,
+        "target_position": [round(float(v), 6) for v in target.aim.centre],
     }
 
 

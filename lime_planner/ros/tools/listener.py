@@ -10,7 +10,6 @@ from typing import Any
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import PoseStamped
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
@@ -18,15 +17,16 @@ from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import JointState, PointCloud2
 
 from lime_planner.ros import qos
+from lime_planner.ros.convert import TargetMessage
 from lime_planner.ros.inputs.frames import Frames, make_frames
-from lime_planner.ros.inputs.latest import Inputs
+from lime_planner.ros.inputs.latest import TARGETS, Inputs
 from lime_planner.ros.parameters import Snapshot
 from lime_planner.ros.requests.status_board import read_status
 from lime_planner.ros.runtime import Spinning
 from lime_planner.scene.from_clouds import CLOUDS
 
 #: The inputs, under the names that the planner node has for them.
-INPUTS = ("joint_states", *CLOUDS, "grasp_target")
+INPUTS = ("joint_states", *CLOUDS, *TARGETS)
 _PLANNER = "lime_planner"
 _CHECK_PERIOD_S = 0.2
 
@@ -71,7 +71,9 @@ class Listener:
         self._subscriptions = [
             qos.AdaptiveSubscription(self.node, PointCloud2, names[name], qos.NEWEST, partial(self._on_cloud, name)) for name in CLOUDS
         ]
-        self._subscriptions.append(qos.AdaptiveSubscription(self.node, PoseStamped, names["grasp_target"], qos.NEWEST, self._on_target))
+        self._subscriptions += [
+            qos.AdaptiveSubscription(self.node, kind, names[name], qos.NEWEST, self._on_target) for name, kind in TARGETS.items()
+        ]
         self.node.create_subscription(JointState, names["joint_states"], self._on_joint_state, qos.JOINT_STATES)
         self.node.create_subscription(DiagnosticArray, "/diagnostics", self._on_health, 10)
         self.node.create_timer(_CHECK_PERIOD_S, self._check_offers)
@@ -115,7 +117,7 @@ class Listener:
     def _on_cloud(self, name: str, msg: PointCloud2) -> None:
         self.inputs.on_cloud(name, msg)
 
-    def _on_target(self, msg: PoseStamped) -> None:
+    def _on_target(self, msg: TargetMessage) -> None:
         self.inputs.on_target(msg)
 
     def _on_joint_state(self, msg: JointState) -> None:

@@ -17,7 +17,7 @@ from lime_planner.core.status import Status
 from lime_planner.doctor.findings import Finding, Level, fault, ok, warning
 from lime_planner.ros.inputs.clouds import decode_cloud
 from lime_planner.ros.inputs.frames import lookup
-from lime_planner.ros.inputs.latest import Sample
+from lime_planner.ros.inputs.latest import TARGETS, Sample
 from lime_planner.ros.parameters import Snapshot
 from lime_planner.ros.qos import is_best_effort, is_latched
 from lime_planner.ros.tools.listener import Listener
@@ -108,7 +108,7 @@ def live_findings(
 def _complete(there: Callable[[str], object]) -> bool:
     """Tell whether all that a plan needs is there: the arm, a target, and clouds of either kind."""
     clouds = there("labelled_cloud") or (there("leaf_cloud") and there("stem_cloud"))
-    return bool(clouds and there("joint_states") and there("grasp_target"))
+    return bool(clouds and there("joint_states") and any(there(name) for name in TARGETS))
 
 
 def _heard(listener: Listener, name: str) -> bool:
@@ -287,18 +287,19 @@ def _look_up(live: Live, sample: Sample) -> None:
 
 
 def _target(live: Live) -> Finding:
-    name, listener, node = "grasp_target", live.listener, live.snapshot.node
+    listener, node = live.listener, live.snapshot.node
+    name = listener.inputs.newest_target
     topic, sample = listener.topics[name], listener.inputs.slots[name].newest
     if sample is None:
         publishers = listener.publishers(name)
         sentence = f"{topic} has a publisher and no message yet" if publishers else f"nobody publishes {topic}"
-        return warning(name, sentence, "a plan needs one (x y z qx qy qz qw, +z out of the palm); ~/preview_to brings its own")
+        return warning(name, sentence, "a plan needs one, or a fruit on fruit_target, or grasp_candidates; ~/preview_to brings its own")
     try:
         target = listener.inputs.target(node.max_target_age_s, node.max_clock_skew_s)
         _look_up(live, sample)
     except Refusal as refusal:
         return fault(name, f"{topic}: {refusal}", _CURES.get(refusal.status, _BAD_MESSAGE))
-    x, y, z = target.T_frame_tool[:3, 3]
+    x, y, z = target.aim.centre
     return ok(name, f"{topic}: {x:.3f} {y:.3f} {z:.3f} m in {sample.msg.header.frame_id!r}, {sample.age_s():.1f} s old")
 
 

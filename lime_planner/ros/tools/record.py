@@ -5,11 +5,14 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 from lime_planner.collision.arm_filter import make_arm_filter
 from lime_planner.core.errors import Refusal
 from lime_planner.core.geometry import matrix_to_pose
+from lime_planner.pipeline.targets import Target
 from lime_planner.robot.model import Robot
+from lime_planner.ros.inputs.latest import TARGETS
 from lime_planner.ros.inputs.scene_source import SceneSource
 from lime_planner.ros.parameters import Snapshot
 from lime_planner.ros.tools.listener import Listener
@@ -70,8 +73,9 @@ def record(listener: Listener, snapshot: Snapshot, robot: Robot, *, wait_s: floa
     start = None
     try:
         target = inputs.target(node.max_target_age_s, node.max_clock_skew_s)
-        scene = dataclasses.replace(scene, target_pose=matrix_to_pose(source.goal(target, snapshot, lambda: False)))
-        heard.append(f"{listener.topics['grasp_target']}: {_age(listener, 'grasp_target')}")
+        scene = dataclasses.replace(scene, **_fields(source.goal(target, snapshot, lambda: False)))
+        name = inputs.newest_target
+        heard.append(f"{listener.topics[name]}: {_age(listener, name)}")
     except Refusal as refusal:
         missing.append(_told(refusal, partial, listener, wait_s))
     try:
@@ -89,14 +93,21 @@ def _told(refusal: Refusal, partial: bool, listener: Listener, wait_s: float) ->
     return refusal.status.message(sentence)
 
 
+def _fields(aim: Target) -> dict[str, Any]:
+    """Return a target as the fields of a scene."""
+    if aim.kind == "fruit":
+        return {"fruit_centres": aim.centre[None]}
+    return {"grasp_candidates": matrix_to_pose(aim.poses)} if aim.kind == "candidates" else {"target_pose": matrix_to_pose(aim.poses[0])}
+
+
 def _waiting(listener: Listener) -> list[str]:
     """Return the inputs that have not been heard: clouds of either kind, the target, the arm."""
     slots = listener.inputs.slots
-    there: Mapping[str, bool] = {name: slots[name].newest is not None for name in (*CLOUDS, "grasp_target")}
+    there: Mapping[str, bool] = {name: slots[name].newest is not None for name in (*CLOUDS, *TARGETS)}
     waiting = []
     if not there["labelled_cloud"]:
         waiting = [name for name in ("leaf_cloud", "stem_cloud") if not there[name]]
-    if not there["grasp_target"]:
+    if not any(there[name] for name in TARGETS):
         waiting.append("grasp_target")
     if listener.inputs.joints.newest is None:
         waiting.append("joint_states")

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from builtin_interfaces.msg import Time
-from geometry_msgs.msg import PoseStamped
+from geometry_msgs.msg import PointStamped, PoseArray, PoseStamped
 from rclpy.clock import ClockType, ROSClock
 from rclpy.time import Time as RosTime
 from ros_fakes import JOINTS, never, refusal_of, stamped, tf_message
@@ -57,13 +57,32 @@ class TestTargets:
     def test_none_bad_and_good(self, inputs: Inputs) -> None:
         assert refusal_of(lambda: inputs.target(0.0, 0.0))[0] is Status.NO_TARGET
         assert inputs.on_target(target([0.1, 0.2, 0.3, 0.0, 0.0, 0.0, 2.0]))
-        assert np.allclose(inputs.target(0.0, 0.0).T_frame_tool[:3, 3], [0.1, 0.2, 0.3])
+        assert np.allclose(inputs.target(0.0, 0.0).aim.centre, [0.1, 0.2, 0.3])
         assert not inputs.on_target(target([math.nan, *IDENTITY[1:]]))
         status, sentence = refusal_of(lambda: inputs.target(0.0, 0.0))
         assert status is Status.BAD_INPUT, "the older target must not come back"
         assert "not finite" in sentence
         assert inputs.on_target(target(IDENTITY))
         inputs.target(0.0, 0.0)
+
+    def test_the_newest_of_three_kinds_counts_and_a_bad_one_clears(self, inputs: Inputs) -> None:
+        fruit, poses = PointStamped(), PoseArray(poses=[to_pose(IDENTITY)] * 3)
+        fruit.header.frame_id = poses.header.frame_id = "base"
+        assert inputs.on_target(target(IDENTITY))
+        assert inputs.on_target(fruit)
+        assert inputs.target(0.0, 0.0).aim.kind == "fruit"
+        assert inputs.on_target(poses)
+        taken = inputs.target(0.0, 0.0)
+        assert taken.aim.kind == "candidates" and len(taken.aim.poses) == 3
+        empty = PoseArray()
+        empty.header.frame_id = "base"
+        assert not inputs.on_target(empty)
+        status, sentence = refusal_of(lambda: inputs.target(0.0, 0.0))
+        assert status is Status.BAD_INPUT and "empty list" in sentence, "neither the fruit nor the pose may come back"
+        assert inputs.peek_target() is None
+        assert refusal_of(lambda: inputs.check_target(taken, 0.0, 0.0))[0] is Status.BAD_INPUT
+        assert inputs.on_target(target(IDENTITY))
+        assert inputs.target(0.0, 0.0).aim.kind == "pose"
 
     def test_age_and_future(self, inputs: Inputs) -> None:
         inputs.on_target(target(IDENTITY, NOW_S - 5.0))

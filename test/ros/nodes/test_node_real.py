@@ -66,7 +66,7 @@ class TestTheDemoGraph:
         ns = ["--ros-args", "-r", "__ns:=/left"]
         with (
             program(["-m", "lime_planner.ros.nodes.mock_arm_node", *ns], DOMAIN),
-            program(["-m", "lime_planner.ros.nodes.scene_node", *ns, "-p", f"seed:={SEED}"], DOMAIN, "publishing"),
+            program(["-m", "lime_planner.ros.nodes.scene_node", *ns, "-p", f"seed:={SEED}", "-p", "approach:=fixed"], DOMAIN, "publishing"),
             program(["-m", "lime_planner.ros.nodes.planner_node", *ns], DOMAIN, "serving") as planner,
         ):
             bench = Bench(robot.joint_names, home(robot), domain=DOMAIN, namespace="left", plays_arm=False)
