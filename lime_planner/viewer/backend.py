@@ -69,10 +69,12 @@ class Wishes:
     Attributes:
         parameters: names and values of changed parameters.
         target: (7,) pose that the target was dragged to; None for the one that is there.
+        fruit: (3,) centre of a fruit that was clicked, to be grasped as is best; None for none.
     """
 
     parameters: dict[str, Any] = field(default_factory=dict)
     target: Array | None = None
+    fruit: Array | None = None
 
 
 def with_wishes(settings: Settings, wishes: Wishes) -> Settings:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from functools import cache
+from collections.abc import Callable
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from scipy.spatial.transform import Rotation
 from lime_planner.core.types import Array, Bool, Float32, Int32, Int64
 from lime_planner.output.picture import ARM, FREE_PATH, LEAFY_PATH, LIME, STEM
 from lime_planner.output.timeline import Timeline
+from lime_planner.pipeline.goals import ARM_BLOCKED, FREE, HAND_BLOCKED, NO_ROOM, OUT_OF_REACH
 from lime_planner.robot.model import Robot
 from lime_planner.scene.scene import Scene
 
@@ -26,6 +28,16 @@ POINTS_SHOWN = 40_000
 _TRIANGLES_OF_A_LINK = 3000
 _TONES = (0.82, 0.94, 1.06, 1.18)  # of leaves, so that one stands out from the next
 _PATH_THICKNESS_M = 0.006
+_APPROACHES_SHOWN = 600
+_APPROACH_GAP_M, _APPROACH_M = 0.05, 0.05  # how far from the fruit their lines end, and how long they are
+#: What became of an approach: green free, red the hand is blocked, orange the arm is, violet no room to come straight, grey out of reach.
+APPROACH_COLOURS = {
+    FREE: (0.15, 0.65, 0.30),
+    HAND_BLOCKED: (0.85, 0.20, 0.10),
+    ARM_BLOCKED: (0.95, 0.55, 0.10),
+    NO_ROOM: (0.55, 0.35, 0.75),
+    OUT_OF_REACH: (0.6, 0.6, 0.6),
+}
 
 
 def set_visible(handle: Any, visible: bool) -> None:
@@ -56,7 +68,7 @@ def spacing_of(points: Float32) -> float:
 class Plant:
     """Leaves, stems and limes."""
 
-    def __init__(self, api: Any, scene: Scene, *, centre: Array, reach_m: float) -> None:
+    def __init__(self, api: Any, scene: Scene, *, centre: Array, reach_m: float, on_lime: Callable[[Array], None]) -> None:
         """Add them.
 
         Args:
@@ -64,7 +76,9 @@ class Plant:
             scene: the plant; what is farther than `reach_m` from `centre` is left out.
             centre: (3,) [m].
             reach_m: see `scene`.
+            on_lime: is told the centre (3,) of a lime that is clicked.
         """
+        self._on_lime = on_lime
         self.notes: list[str] = []
         self._api = api
         self._parts: dict[str, list[Any]] = {"leaves": [], "stems": [], "limes": []}
@@ -128,14 +142,17 @@ class Plant:
                 )
                 self._parts["leaves"].append(handle)
 
+    def _clicked(self, centre: Array, _event: Any) -> None:
+        self._on_lime(centre)
+
     def _limes(self, scene: Scene) -> None:
         assert scene.fruit_centres is not None and scene.fruit_radii is not None
         for number, (centre, radius) in enumerate(zip(scene.fruit_centres, scene.fruit_radii, strict=True)):
-            self._parts["limes"].append(
-                self._api.add_icosphere(
-                    f"/plant/limes/{number}", float(radius), color=rgb(LIME), subdivisions=2, position=centre, cast_shadow=False
-                )
+            handle = self._api.add_icosphere(
+                f"/plant/limes/{number}", float(radius), color=rgb(LIME), subdivisions=2, position=centre, cast_shadow=False
             )
+            handle.on_click(partial(self._clicked, centre.astype(np.float64)))
+            self._parts["limes"].append(handle)
 
 
 @cache
@@ -226,6 +243,32 @@ class ToolPath:
     def remove(self) -> None:
         """Take it out of the scene."""
         self._line.remove()
+
+
+class ApproachLines:
+    """The approaches that were tried, as lines towards the fruit, coloured by what became of them."""
+
+    def __init__(self, api: Any, poses: Array, outcomes: Int64) -> None:
+        """Add lines of the approaches (A, 7); none where there was nothing to choose."""
+        self._lines = None
+        if not len(poses):
+            return
+        keep = thinned(poses, _APPROACHES_SHOWN)
+        turned = Rotation.from_quat(poses[keep, 3:]).as_matrix()[:, :, 2]
+        tips = poses[keep, :3] - _APPROACH_GAP_M * turned
+        pieces = np.stack([tips - _APPROACH_M * turned, tips], axis=1).astype(np.float32)
+        colours = np.array([rgb(APPROACH_COLOURS[int(outcome)]) for outcome in outcomes[keep]], dtype=np.uint8)
+        self._lines = api.add_line_segments("/approaches", pieces, np.repeat(colours[:, None], 2, axis=1), thickness=0.002)
+
+    def show(self, visible: bool) -> None:
+        """Show or hide the lines."""
+        if self._lines is not None:
+            set_visible(self._lines, visible)
+
+    def remove(self) -> None:
+        """Take them out of the scene."""
+        if self._lines is not None:
+            self._lines.remove()
 
 
 class Touched:

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from lime_planner.core.types import Array
 from lime_planner.output.timeline import Timeline, timeline_of
 from lime_planner.pipeline.plan_record import PlanRecord
 from lime_planner.robot.model import Robot
@@ -22,7 +23,7 @@ from lime_planner.viewer.backend import Activity, Backend, Moment, Wishes
 from lime_planner.viewer.controls import Commands, Controls, ask_before_moving
 from lime_planner.viewer.debug_layers import Extras
 from lime_planner.viewer.empty_page import EmptyPage
-from lime_planner.viewer.layers import Arm, Plant, ToolPath, Touched, ghost_arm, measured_arm
+from lime_planner.viewer.layers import ApproachLines, Arm, Plant, ToolPath, Touched, ghost_arm, measured_arm
 from lime_planner.viewer.player import Player
 from lime_planner.viewer.plots import Plots
 from lime_planner.viewer.serving import start_server, stop_server
@@ -61,6 +62,7 @@ class Page:
         self._plant: Plant | None = None
         self._path: ToolPath | None = None
         self._touched: Touched | None = None
+        self._approaches: ApproachLines | None = None
         self._marked_s = -1.0
         self.failure = ""
         moment = backend.moment()
@@ -120,6 +122,9 @@ class Page:
     def _on_plan(self, _event: Any) -> None:
         self._note(lambda: self._backend.plan(Wishes(self._controls.wishes(self._backend.moment().settings), self._marker.wish())))
 
+    def _on_lime(self, centre: Array) -> None:
+        self._note(lambda: self._backend.plan(Wishes(self._controls.wishes(self._backend.moment().settings), fruit=centre)))
+
     def _on_execute(self, event: Any) -> None:
         shown = self._backend.moment().shown
         if event.client is not None and shown is not None:
@@ -176,18 +181,20 @@ class Page:
             self._plant = None
             if moment.scene is not None:
                 reach_m = (1.2 if moment.robot is None else moment.robot.reach_m) + _BEYOND_REACH_M
-                self._plant = Plant(api, moment.scene, centre=np.zeros(3), reach_m=reach_m)
+                self._plant = Plant(api, moment.scene, centre=np.zeros(3), reach_m=reach_m, on_lime=self._on_lime)
             self._scene = moment.scene
         self._marker.follow(moment.target)
         if self._arm is not None and moment.q is not None:
             self._arm.place(moment.q)
 
     def _draw_plan(self, moment: Moment) -> None:
-        for layer in (self._path, self._touched):
+        for layer in (self._path, self._touched, self._approaches):
             if layer is not None:
                 layer.remove()
-        self._path = self._touched = self._timeline = None
+        self._path = self._touched = self._approaches = self._timeline = None
         shown = self._shown = moment.shown
+        if shown is not None:
+            self._approaches = ApproachLines(self._server.scene, shown.result.approaches, shown.result.approach_outcomes)
         if shown is not None and shown.found and moment.pipeline is not None:
             self._timeline = timeline_of(moment.pipeline, shown)
             self._path = ToolPath(self._server.scene, self._timeline)
@@ -225,5 +232,7 @@ class Page:
             self._path.show(controls.shows("path"))
         if self._touched is not None:
             self._touched.show(controls.shows("touched"))
+        if self._approaches is not None:
+            self._approaches.show(controls.shows("target"))
         self._marker.show(controls.shows("target"))
         return words

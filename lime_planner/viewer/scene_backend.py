@@ -10,7 +10,7 @@ from collections.abc import Callable
 import numpy as np
 
 from lime_planner.core.errors import LimePlannerError, SceneError
-from lime_planner.core.geometry import pose_to_matrix
+from lime_planner.core.geometry import matrix_to_pose
 from lime_planner.core.parameters import Settings
 from lime_planner.core.status import Status
 from lime_planner.core.types import Array
@@ -18,6 +18,8 @@ from lime_planner.motion import stop as stopping
 from lime_planner.motion.trajectory import Trajectory
 from lime_planner.pipeline import Pipeline, PlanResult
 from lime_planner.pipeline.plan_record import PlanRecord
+from lime_planner.pipeline.scene_targets import own_target
+from lime_planner.pipeline.targets import Target, fruit_target, pose_target, target_of
 from lime_planner.robot.model import Robot, home
 from lime_planner.scene.plants.grasp_targets import canopy_targets, grasp_pose
 from lime_planner.scene.scene import Scene
@@ -55,7 +57,7 @@ class SceneBackend:
         settings: Settings,
         *,
         scene: Scene | None = None,
-        target: Array | None = None,
+        target: Target | Array | None = None,
         q_start: Array | None = None,
         saved: Callable[[Robot], PlanResult] | None = None,
         title: str = "no scene",
@@ -66,7 +68,7 @@ class SceneBackend:
             load_robot: loads the arm, in the background.
             settings: parameters of the plans.
             scene: what stands in front of the arm; its frame may be empty, then it is the arm's.
-            target: (7,) pose of the tool at the fruit; the scene's by default.
+            target: (7,) pose of the tool at the fruit, or what is to be reached otherwise; what the scene is about by default.
             q_start: (n,) where the arm stands [rad]; its home by default.
             saved: makes a plan that was made before, to be shown first.
             title: names the scene.
@@ -77,7 +79,9 @@ class SceneBackend:
         self._jobs: list[tuple[Job, threading.Event]] = []
         self._running: threading.Event | None = None
         self._closed = False
-        self._scene, self._target = scene, target if target is not None or scene is None else scene.target_pose
+        self._scene = scene
+        self._aim = self._own(scene) if target is None else target_of(target, settings.grasp_freedom)
+        self._target = None if self._aim is None else self._aim.shown_pose()
         self._robot: Robot | None = None
         self._pipeline: Pipeline | None = None
         self._ready = False
@@ -129,16 +133,18 @@ class SceneBackend:
             if self._why_no_plan():
                 self._message = Status.NOT_READY.message(self._why_no_plan())
                 return
-            if wishes.target is not None:
-                self._target = wishes.target
-            assert self._pipeline is not None and self._scene is not None and self._target is not None
-            pipeline, scene, target = self._pipeline, self._scene, self._target
             try:
                 settings = with_wishes(self._settings, wishes)
+                if wishes.target is not None:
+                    self._set_aim(pose_target(wishes.target, settings.grasp_freedom))
+                elif wishes.fruit is not None:
+                    self._set_aim(fruit_target(wishes.fruit))
             except LimePlannerError as error:
                 self._message = Status.BAD_INPUT.message(str(error))
                 return
-            self._submit(lambda stop: self._make_plan(pipeline, scene, target, settings, stop))
+            assert self._pipeline is not None and self._scene is not None and self._aim is not None
+            pipeline, scene, aim = self._pipeline, self._scene, self._aim
+            self._submit(lambda stop: self._make_plan(pipeline, scene, aim, settings, stop))
 
     def execute(self, number: int) -> None:
         """Let the simulated arm carry the plan out."""
@@ -167,7 +173,9 @@ class SceneBackend:
     def open(self, scene: Scene, title: str) -> None:
         """Take another scene; its plan and target go with the old one."""
         with self._lock:
-            self._scene, self._target, self._shown, self.title = scene, scene.target_pose, None, title
+            self._scene, self._shown, self.title = scene, None, title
+            self._aim = self._own(scene)
+            self._target = None if self._aim is None else self._aim.shown_pose()
             self._message = f"{title}: {scene.n_points} points"
             if self._target is None:
                 self._message += "; it has no target: drag the marker to where the tool is to go"
@@ -226,8 +234,15 @@ class SceneBackend:
         assert self._scene is not None
         if not self._scene.frame_id:
             self._scene = dataclasses.replace(self._scene, frame_id=robot.planning_frame)
-        if self._target is None:
-            self._target = _place_to_begin(self._scene, robot)
+        if self._aim is None:
+            self._set_aim(pose_target(_place_to_begin(self._scene, robot), self._settings.grasp_freedom))
+
+    def _own(self, scene: Scene | None) -> Target | None:
+        """What a scene is about: its target's fruit, with the approach free, where it knows its fruit."""
+        return None if scene is None else own_target(scene, self._settings.grasp_freedom, np.zeros(3))
+
+    def _set_aim(self, aim: Target) -> None:
+        self._aim, self._target = aim, aim.shown_pose()
 
     def _submit(self, job: Job) -> None:
         """Hand a job to the thread; it takes the place of older ones."""
@@ -276,15 +291,16 @@ class SceneBackend:
             self._ready = True
             self._message = result.message if result is not None else "press Plan" if self._scene is not None else "waiting for a scene"
 
-    def _make_plan(self, pipeline: Pipeline, scene: Scene, target: Array, settings: Settings, stop: threading.Event) -> None:
+    def _make_plan(self, pipeline: Pipeline, scene: Scene, aim: Target, settings: Settings, stop: threading.Event) -> None:
         with self._lock:
             q = self._measured()
             self._message = f"searching for a path ({settings.planner})"
         assert q is not None
-        result = pipeline.plan(scene, pose_to_matrix(target), q, settings, should_stop=stop.is_set)
+        result = pipeline.plan(scene, aim, q, settings, should_stop=stop.is_set)
         self._say(result.message)
         if result.status is not Status.CANCELLED:
-            self._show(scene, target, settings, result)
+            grasp = aim.shown_pose() if result.T_base_tool is None else matrix_to_pose(result.T_base_tool)
+            self._show(scene, grasp, settings, result)
 
     def _show(self, scene: Scene | None, target: Array | None, settings: Settings, result: PlanResult) -> None:
         assert scene is not None
