@@ -16,7 +16,7 @@ POLICY = Path(__file__).resolve().parents[2] / "config" / "sros2_policy.xml"
 #: What to do about each outcome, where there is something to be done.
 CURES = {
     Status.SUCCEEDED: "Nothing.",
-    Status.NO_TARGET: "Publish a pose on `grasp_target`; in a file, give `target_pose` or `--target`.",
+    Status.NO_TARGET: "Publish a fruit on `fruit_target` (or `grasp_candidates`, or a pose on `grasp_target`); in a file, give `target_pose`, `--fruit` or `--target`.",
     Status.NO_CLOUD: "Start the camera; look at `stem_cloud.received` in `/diagnostics`. A plant without stems: `allow_empty_stem_cloud`.",
     Status.NO_JOINT_STATE: "Start the arm's driver, or remap `joint_states` to its topic. The joints must have the names in `arm_joints`.",
     Status.STALE_INPUT: "The sentence names the input and its age. Look whether its publisher still runs; compare the clocks.",
@@ -24,8 +24,8 @@ CURES = {
     Status.TF_ERROR: "Publish the transform between the two frames named, or give it in `static_transforms`.",
     Status.START_INVALID: "Move the arm by hand or with its own software to a configuration within the limits and clear of itself.",
     Status.START_IN_STEM: "Back the arm out by hand. If nothing is there, the arm sees itself: raise `self_filter_padding_m`, or check the calibration.",
-    Status.NO_IK_SOLUTION: "The target is out of reach, or its direction is. +z of the target points out of the palm.",
-    Status.GOAL_IN_STEM: "Approach the fruit from another direction; the sentence counts what blocks it. Points of the fruit's own stalk: `target_exclusion_radius_m`.",
+    Status.NO_IK_SOLUTION: "The target is out of reach, or its direction is: ask for the fruit, or set `grasp_freedom: cone`. +z of a target pose points out of the palm.",
+    Status.GOAL_IN_STEM: "The sentence counts what became of the approaches and names the commonest obstacle. For an exact pose: ask for the fruit, or set `grasp_freedom: cone`. Points of the fruit's own stalk: `stalk_radius_m`, for an exact pose `target_exclusion_radius_m`.",
     Status.NO_PATH: "More `iterations`, another start, or another approach.",
     Status.TIMED_OUT: "More `time_budget_s`, another start, or another approach.",
     Status.LEAF_BUDGET_EXCEEDED: "Raise `max_leaf_contact_rad` above the contact named, or approach from another side.",

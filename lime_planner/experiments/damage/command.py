@@ -62,7 +62,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     budget.add_argument("--repeatable", action="store_true", help=words)
     budget.add_argument("--iterations", type=int, default=0, metavar="N", help="one budget in iterations for every method instead")
     parser.add_argument(
-        "--methods", nargs="+", metavar="NAME[:PARAMETER=VALUE,...]", help="solid, ignored, apf_rrt_star, binary, graded (default: all)"
+        "--methods",
+        nargs="+",
+        metavar="NAME[:PARAMETER=VALUE,...]",
+        help="solid, ignored, apf_rrt_star, binary, graded, free, candidates (default: all)",
     )
 
 

@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 
 from lime_planner.core.errors import ParameterError
-from lime_planner.core.geometry import pose_to_matrix
 from lime_planner.core.parameters import Settings, parse_assignment, settings_from
 from lime_planner.experiments.grasps import Grasp, grasps_of, plant_spec, rng_of
 from lime_planner.experiments.problems import SceneSpec, pipeline_of, scene_of
@@ -19,8 +18,12 @@ from lime_planner.experiments.runs.results_file import Plan
 from lime_planner.experiments.swept_leaves import CloudTruth, LeafTruth
 from lime_planner.pipeline.pipeline import Pipeline
 from lime_planner.pipeline.result import PlanResult
+from lime_planner.pipeline.targets import Target, candidates_target, fruit_target, pose_target
 from lime_planner.robot.model import home
 from lime_planner.scene.plants.generator import DENSITIES
+from lime_planner.scene.plants.grasp_targets import approach_directions, grasp_pose
+
+SCAN_FRUIT_RADIUS_M = 0.02  #: in a scan, the place of a drawn grasp counts as a fruit of this radius
 
 #: What is compared: settings of the pipeline that differ from its defaults.
 METHODS: dict[str, dict[str, Any]] = {
@@ -29,10 +32,23 @@ METHODS: dict[str, dict[str, Any]] = {
     "apf_rrt_star": {"planner": "apf_rrt_star"},
     "binary": {"leaf_cost": "binary"},
     "graded": {"leaf_cost": "graded"},
+    "free": {},
+    "candidates": {},
 }
 
+#: Grasps drawn for the method `candidates`, as a detector would propose them.
+CANDIDATES = 20
+
 #: About what a method gets done in 0.5 s on one free core of a 2024 machine, the median over plants: for results that repeat.
-REPEATABLE = {"solid": 14_000, "ignored": 21_000, "apf_rrt_star": 21_000, "binary": 11_000, "graded": 7000}
+REPEATABLE = {
+    "solid": 14_000,
+    "ignored": 21_000,
+    "apf_rrt_star": 21_000,
+    "binary": 11_000,
+    "graded": 7000,
+    "free": 11_000,
+    "candidates": 11_000,
+}
 
 #: Their names in tables.
 LABELS = {
@@ -41,6 +57,8 @@ LABELS = {
     "apf_rrt_star": "APF-RRT* (paper)",
     "binary": "default, binary cost",
     "graded": "default, graded cost",
+    "free": "free approach",
+    "candidates": f"candidates ({CANDIDATES} random)",
 }
 
 
@@ -184,6 +202,16 @@ def _record(result: PlanResult, cpu_s: float, truth: LeafTruth | CloudTruth) -> 
     return record
 
 
+def _targets_of(grasp: Grasp, scene: SceneSpec, options: DamageOptions) -> dict[str, Target]:
+    """What the methods are asked for: the grasp that was drawn, its fruit with the approach free, or one of some grasps drawn like it."""
+    rng = rng_of(f"{scene.name}/{grasp.number}", "candidates", options.seed)
+    centre = np.array(grasp.pose[:3])
+    ways = approach_directions(rng, centre, CANDIDATES)
+    poses = [grasp_pose(centre, way, float(rng.uniform(0.0, 2.0 * np.pi))) for way in ways]
+    radius_m = SCAN_FRUIT_RADIUS_M if scene.path else None
+    return {"fixed": pose_target(grasp.pose), "free": fruit_target(centre, radius_m), "candidates": candidates_target(poses)}
+
+
 def run_trial(task: Task) -> dict[str, Any]:
     """Plan one grasp by every method and return the record for the results file."""
     options, scene = task.options, task.scene
@@ -202,10 +230,12 @@ def run_trial(task: Task) -> dict[str, Any]:
         return record
     record |= {"pose": [round(v, 6) for v in grasp.pose], "goals": grasp.configurations, "leaves_at_best_goal": grasp.leaves_at_best}
     seed = int(rng_of(f"{scene.name}/{task.number}", "plan", options.seed).integers(1, 2**31 - 1))
-    T, start, truth = pose_to_matrix(np.array(grasp.pose)), home(pipeline.robot), _truth(scene, options.robot)
+    start, truth = home(pipeline.robot), _truth(scene, options.robot)
+    targets = _targets_of(grasp, scene, options)
     for method in options.methods:
         began_s = time.process_time()
-        result = pipeline.plan(scene_of(scene), T, start, options.settings(method), seed=seed)
+        target = targets.get(method.partition(":")[0], targets["fixed"])
+        result = pipeline.plan(scene_of(scene), target, start, options.settings(method), seed=seed)
         record["methods"][method] = _record(result, time.process_time() - began_s, truth)
     return record
 
