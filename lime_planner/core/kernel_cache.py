@@ -11,9 +11,11 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
+import os
 import re
 import shutil
 import sys
+import time
 from collections.abc import Callable, Iterator
 from functools import cache
 from pathlib import Path
@@ -29,7 +31,8 @@ _PACKAGE = Path(__file__).resolve().parents[1]
 #: Folders that hold kernels: the package, and in a checkout what measures it.
 _SOURCES = (_PACKAGE, _PACKAGE.parent / "benchmarks")
 _PROTOCOL = "lime_planner.planning.space"
-_KEPT_VERSIONS = 3  # of one file's kernels: two checkouts, or a version and the one before, may share a user's cache
+_KEPT_VERSIONS = 3  # of one file's kernels, however old
+_UNUSED_S = 7 * 86400.0  # what was used since then is kept too: several checkouts may share a user's cache
 _IMPORT = re.compile(r"^[ \t]*(?:from[ \t]+([\w.]+)[ \t]+import[ \t]+(\([^)]*\)|[^\n(]+)|import[ \t]+([\w., ]+))", re.MULTILINE)
 
 
@@ -117,8 +120,12 @@ def kernel_folder(path: str) -> Path:
             folder.mkdir(parents=True, exist_ok=True)
             versions = [other for other in root.glob(f"{name}-*") if re.fullmatch(r"[0-9a-f]{16}", other.name[len(name) + 1 :])]
             old = sorted(versions, key=lambda p: p.stat().st_mtime, reverse=True)[_KEPT_VERSIONS:]
+            old = [version for version in old if version.stat().st_mtime < time.time() - _UNUSED_S]
             for stale in (*old, *cache_root().glob("numba-*")):  # the latter: what version 0.1 left behind
                 shutil.rmtree(stale, ignore_errors=True)
+    else:
+        with contextlib.suppress(OSError):
+            os.utime(folder)  # used today
     return folder
 
 

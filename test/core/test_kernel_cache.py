@@ -100,6 +100,10 @@ def test_versions_long_gone_are_removed(tmp_path: Path, monkeypatch: pytest.Monk
         folder = kernel_cache.kernel_folder.__wrapped__(path)
         assert folder.is_dir()
         os.utime(folder, (1.0e9 + number, 1.0e9 + number))
+    recent = kernel_cache.kernel_folder.__wrapped__
+    for number in range(6, 10):  # as many checkouts as somebody works on today
+        monkeypatch.setattr(kernel_cache, "_hash_of", lambda module, number=number: f"{number:016x}")
+        recent(path)
     left = sorted(path.name for path in (tmp_path / "kernels").iterdir())
-    assert left == [f"lime_planner.planning.space-{number:016x}" for number in (3, 4, 5)]
+    assert left == [f"lime_planner.planning.space-{number:016x}" for number in (6, 7, 8, 9)]
     assert not list(tmp_path.glob("numba-*"))
