@@ -39,7 +39,7 @@ _FIRST_PATH_BUDGET_S = 0.5
 def _check_all(space: Any, rows: Any, valid: Any) -> int:
     count = 0
     for i in range(rows.shape[0]):
-        ok = arm_check(space, rows[i])
+        ok = arm_check(space, rows[i], True)
         valid[i] = ok
         count += 1 if ok else 0
     return count
@@ -49,7 +49,7 @@ def _check_all(space: Any, rows: Any, valid: Any) -> int:
 def _check_again(space: Any, q: Any, times: int) -> int:
     count = 0
     for _ in range(times):
-        count += 1 if arm_check(space, q) else 0
+        count += 1 if arm_check(space, q, True) else 0
     return count
 
 

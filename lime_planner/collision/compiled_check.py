@@ -17,6 +17,7 @@ from numba.extending import intrinsic
 
 from lime_planner.collision.distance_fields import build_fields
 from lime_planner.collision.fast import Scratch, State, check, make_scratch, make_state
+from lime_planner.collision.leaf_contact import charged_between
 from lime_planner.collision.link_shapes import Shapes
 from lime_planner.collision.potential import repulse
 from lime_planner.collision.world import World, empty_world
@@ -104,6 +105,11 @@ def _check_at(handle: Any, leaves: Any, floor: Any) -> Any:
     return 1 if check(parts.chain, parts.shapes, parts.world, parts.scratch, parts.scratch.q, leaves != 0, floor, parts.state) else 0
 
 
+def _charge_at(handle: Any, finest: Any, enough: Any) -> Any:
+    parts = _read(handle)
+    return charged_between(parts.chain, parts.shapes, parts.world, parts.scratch, finest, enough)
+
+
 def _repulse_at(handle: Any, d_star: Any, k_leaf: Any, k_stem: Any) -> Any:
     parts = _read(handle)
     check(parts.chain, parts.shapes, parts.world, parts.scratch, parts.scratch.q, False, -np.inf, parts.state)
@@ -114,10 +120,17 @@ def _repulse_at(handle: Any, d_star: Any, k_leaf: Any, k_stem: Any) -> Any:
 
 
 @functools.cache
-def functions() -> tuple[Any, Any]:
-    """The two C functions, compiled on first use: check(handle, leaves, floor) and repulsion(handle, d*, K_leaf, K_stem)."""
+def functions() -> tuple[Any, Any, Any]:
+    """The C functions, compiled on first use.
+
+    check(handle, leaves, floor), repulsion(handle, d*, K_leaf, K_stem), charge(handle, finest, enough).
+    """
     real, whole = nt.float64, nt.int64
-    return c_function(whole(whole, whole, real), _check_at), c_function(real(whole, real, real, real), _repulse_at)
+    return (
+        c_function(whole(whole, whole, real), _check_at),
+        c_function(real(whole, real, real, real), _repulse_at),
+        c_function(real(whole, real, real), _charge_at),
+    )
 
 
 class _Memory:
@@ -127,13 +140,12 @@ class _Memory:
         self.kept = (parts, functions())
         self.buffer = np.zeros(_parts_size() // 8 + 8)
         _write_parts(parts, self.buffer.ctypes.data)
-        check_function, repulse_function = functions()
-        self.addresses = np.array([self.buffer.ctypes.data, check_function.address, repulse_function.address], np.int64)
+        self.addresses = np.array([self.buffer.ctypes.data, *(function.address for function in functions())], np.int64)
         self.__array_interface__ = self.addresses.__array_interface__
 
 
 def make_engine(chain: Chain, shapes: Shapes, world: World, scratch: Scratch, state: State) -> Int64:
-    """Return (3,) addresses: of the structure, of the check and of the repulsion; the array keeps everything alive.
+    """Return (4,) addresses: of the structure, the check, the repulsion and the charge for leaves; the array keeps everything alive.
 
     Raises:
         TypeError: an array of another type than compiled code expects (a defect).
@@ -168,3 +180,15 @@ def call_repulsion(typing_context: Any, address: Any, handle: Any, d_star: Any, 
         return builder.call(builder.inttoptr(values[0], kind.as_pointer()), values[1:])
 
     return nt.float64(nt.int64, nt.int64, nt.float64, nt.float64, nt.float64), generate
+
+
+@intrinsic
+def call_charge(typing_context: Any, address: Any, handle: Any, finest: Any, enough: Any) -> Any:
+    """Call the charge for leaves at an address: (address, handle, finest, enough) -> charge."""
+
+    def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+        whole, real = ir.IntType(64), ir.DoubleType()
+        kind = ir.FunctionType(real, [whole, real, real])
+        return builder.call(builder.inttoptr(values[0], kind.as_pointer()), values[1:])
+
+    return nt.float64(nt.int64, nt.int64, nt.float64, nt.float64), generate

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from lime_planner.collision.distance_fields import Fields, lower_bound, sample
+from lime_planner.collision.leaf_contact import Sweep, make_sweep, set_twists, sphere_speed, turning_speed
 from lime_planner.collision.link_shapes import Shapes
 from lime_planner.collision.point_contact import leaf_near, place, points_near, touched_patches
 from lime_planner.collision.self_contact import SELF_CLEARANCE_M, self_clearance
@@ -37,6 +38,7 @@ class Scratch(NamedTuple):
         masks: (B,) int64, a bit for each coarse sphere that a leaf may touch.
         q, force: (n,) the configuration to check and the force found, where functions called by address look for them.
         marks: one for each leaf point, last_mark: (1,) the last one used, so that no point counts twice.
+        sweep: memory for one edge, which a check without leaves is taken to belong to.
     """
 
     poses: Array
@@ -46,6 +48,7 @@ class Scratch(NamedTuple):
     force: Array
     marks: Int32
     last_mark: Int32
+    sweep: Sweep
 
 
 class State(NamedTuple):
@@ -54,6 +57,7 @@ class State(NamedTuple):
     Attributes:
         clear: (B,) clearance of each body to everything hard but the arm itself, exact near the requirement, else a lower bound [m].
         leaf_clear: (B,) the same for leaves, 0 in contact.
+        speed: (B,) bound on the speed of any place of a body along an edge, by the share of the edge; of a check without leaves [m].
         own: (P,) clearance of each pair of bodies that can touch, in the order of `Shapes.pairs` [m].
         misc: (4,) smallest clearance between the arm's own bodies [m], leaf intensity, distance of the tool to the border of the approach
             zone (positive inside) [m], clearance required here [m].
@@ -61,6 +65,7 @@ class State(NamedTuple):
 
     clear: Array
     leaf_clear: Array
+    speed: Array
     own: Array
     misc: Array
 
@@ -76,13 +81,14 @@ def make_scratch(shapes: Shapes, fields: Fields) -> Scratch:
         np.zeros(max(bodies - 1, 0)),
         np.zeros(len(fields.leaves.points), np.int32),
         np.zeros(1, np.int32),
+        make_sweep(max(bodies - 1, 0)),
     )
 
 
 def make_state(shapes: Shapes) -> State:
     """Allocate one result."""
     bodies = len(shapes.spacing)
-    return State(np.zeros(bodies), np.zeros(bodies), np.zeros(len(shapes.pairs)), np.zeros(4))
+    return State(np.zeros(bodies), np.zeros(bodies), np.zeros(bodies), np.zeros(len(shapes.pairs)), np.zeros(4))
 
 
 @inline_kernel
@@ -100,7 +106,7 @@ def scan_body(world: Any, shapes: Any, scratch: Any, b: Any, inside: Any, need: 
         stem, leaf = sample(fields, scratch.centres[b, 0], scratch.centres[b, 1], scratch.centres[b, 2])
         stem = lower_bound(stem, h) - shapes.bound[b, 3] - world.stem_radius
         leaf = lower_bound(leaf, h) - shapes.bound[b, 3] - world.leaf_radius
-        if stem > need + FAR_M and leaf > FAR_M:
+        if stem > need + FAR_M and (leaf > FAR_M or not leaves):
             state.clear[b] = stem
             state.leaf_clear[b] = leaf
             return
@@ -191,7 +197,7 @@ def check(chain: Chain, shapes: Shapes, world: World, scratch: Scratch, q: Array
     Args:
         chain, shapes, world, scratch: the arm, its bodies, the obstacles, this thread's memory.
         q: configuration (n,) [rad], within the joint limits.
-        leaves: whether leaves matter; without, the intensity is 0.
+        leaves: whether leaves matter; without, the intensity is 0, and the bodies' speeds along the edge of `scratch.sweep` are found.
         floor: evaluate clearances fully down to this value [m] instead of stopping below the requirement (for figures); +inf to stop early.
         state: receives the clearances and the leaf intensity; complete only where the result is True or `floor` is finite.
 
@@ -206,6 +212,12 @@ def check(chain: Chain, shapes: Shapes, world: World, scratch: Scratch, q: Array
         scratch.centres[b, 0] = x
         scratch.centres[b, 1] = y
         scratch.centres[b, 2] = z
+    if not leaves:
+        set_twists(chain, poses, scratch.sweep)
+        for b in range(bodies):
+            turning = turning_speed(scratch.sweep.twist, b)
+            centre = scratch.centres[b]
+            state.speed[b] = sphere_speed(scratch.sweep.twist, b, turning, centre[0], centre[1], centre[2], shapes.bound[b, 3])
     need = required_clearance(world, q)
     state.misc[NEED] = need
     inside = False

@@ -7,8 +7,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from lime_planner.collision.compiled_check import call_check, call_repulsion, make_engine
-from lime_planner.collision.edge_cost import MAX_EDGE_STATES, EdgeMemory, arm_check, arm_edge, within_box
+from lime_planner.collision.edge_cost import EdgeMemory, arm_check, arm_edge, make_edge_memory, within_box
 from lime_planner.collision.fast import LEAF, State, make_scratch, make_state
+from lime_planner.collision.leaf_contact import Sweep
 from lime_planner.collision.link_shapes import Shapes
 from lime_planner.collision.world import World
 from lime_planner.core.jit import hot_kernel, kernel, overload
@@ -23,8 +24,8 @@ class ArmSpace(NamedTuple):
     Attributes:
         lower, upper: (n,) sampling box, inside the joint limits [rad].
         counters: (8,) int64, see `lime_planner.planning.space`.
-        engine: (3,) addresses, see `lime_planner.collision.compiled_check`.
-        state, q, force, memory: this thread's memory.
+        engine: (4,) addresses, see `lime_planner.collision.compiled_check`.
+        state, q, force, memory, sweep: this thread's memory.
         lever: (n, B) how far a body moves at most for each radian of a joint [m/rad].
         pairs: (P, 2) bodies that can touch each other.
         zoned: whether there is an approach zone.
@@ -39,6 +40,7 @@ class ArmSpace(NamedTuple):
     q: Array
     force: Array
     memory: EdgeMemory
+    sweep: Sweep
     lever: Array
     pairs: Int64
     zoned: bool
@@ -54,19 +56,7 @@ def make_arm_space(lower: Array, upper: Array, chain: Chain, shapes: Shapes, wor
         world: the obstacles.
         leaves: False to leave leaves out of account.
     """
-    bodies = len(shapes.spacing)
-    memory = EdgeMemory(
-        np.zeros((MAX_EDGE_STATES, bodies)),
-        np.zeros((MAX_EDGE_STATES, bodies)),
-        np.zeros((MAX_EDGE_STATES, len(shapes.pairs))),
-        np.zeros((MAX_EDGE_STATES, 4)),
-        np.zeros(MAX_EDGE_STATES),
-        np.zeros(MAX_EDGE_STATES, np.int32),
-        np.zeros(MAX_EDGE_STATES, np.int32),
-        np.zeros(bodies),
-        np.zeros(len(shapes.pairs)),
-        np.zeros(len(lower)),
-    )
+    memory = make_edge_memory(len(lower), len(shapes.spacing), len(shapes.pairs))
     state = make_state(shapes)
     scratch = make_scratch(shapes, world.fields)
     return ArmSpace(
@@ -78,6 +68,7 @@ def make_arm_space(lower: Array, upper: Array, chain: Chain, shapes: Shapes, wor
         scratch.q,
         scratch.force,
         memory,
+        scratch.sweep,
         np.ascontiguousarray(shapes.lever),
         np.ascontiguousarray(shapes.pairs),
         bool(world.exclusion[3] > 0.0),
@@ -91,7 +82,7 @@ def arm_evaluate(space: ArmSpace, q: Array) -> float:
     space.counters[0] += 1
     if not within_box(space, q):
         return -1.0
-    if not arm_check(space, q):
+    if not arm_check(space, q, space.own_leaves):
         return -1.0
     return float(space.state.misc[LEAF])
 

@@ -62,7 +62,7 @@ def mesh_distance(shapes: Any, b: Any, pose: Any, x: Any, y: Any, z: Any) -> Any
 
 
 @inline_kernel
-def _cells_near(table: Any, x: Any, y: Any, z: Any, reach: Any) -> tuple[Any, Any, Any, Any, Any, Any]:
+def cells_near(table: Any, x: Any, y: Any, z: Any, reach: Any) -> tuple[Any, Any, Any, Any, Any, Any]:
     """First and last cell, on each axis, of the points' table that a cube around a place meets; last under first where none."""
     inverse = 1.0 / table.cell_m
     return (
@@ -84,7 +84,7 @@ def points_near(
     Stops at the first one under `enough`. Points within skip_radius of the upright segment `skip` (`World.exclusion`) do not count.
     """
     best = reach
-    low0, high0, low1, high1, low2, high2 = _cells_near(table, x, y, z, reach)
+    low0, high0, low1, high1, low2, high2 = cells_near(table, x, y, z, reach)
     for i in range(low0, high0 + 1):
         for j in range(low1, high1 + 1):
             row = (i * table.shape[1] + j) * table.shape[2]
@@ -115,7 +115,7 @@ def leaf_near(shapes: Any, b: Any, pose: Any, table: Any, x: Any, y: Any, z: Any
     """
     best = reach
     heaviest = 0.0
-    low0, high0, low1, high1, low2, high2 = _cells_near(table, x, y, z, reach)
+    low0, high0, low1, high1, low2, high2 = cells_near(table, x, y, z, reach)
     for i in range(low0, high0 + 1):
         for j in range(low1, high1 + 1):
             row = (i * table.shape[1] + j) * table.shape[2]
@@ -140,7 +140,7 @@ def touched_patches(
 ) -> Any:
     """Sum of the weights of the points near a place that touch body b and carry no mark yet; they are marked."""
     total = 0.0
-    low0, high0, low1, high1, low2, high2 = _cells_near(table, x, y, z, reach)
+    low0, high0, low1, high1, low2, high2 = cells_near(table, x, y, z, reach)
     for i in range(low0, high0 + 1):
         for j in range(low1, high1 + 1):
             row = (i * table.shape[1] + j) * table.shape[2]

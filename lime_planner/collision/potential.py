@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from lime_planner.collision.distance_fields import sample
+from lime_planner.collision.fast import Scratch
 from lime_planner.collision.world import CAP_M
 from lime_planner.core.jit import hot_kernel
 from lime_planner.core.types import Array
@@ -20,7 +21,8 @@ def repulse(parts: Any, touching: bool, d_star: float, k_leaf: float, k_stem: fl
     -dU/dd times its gradient, through the Jacobian of the closest sphere. Distances in metres, forces per radian.
     """
     shapes = parts.shapes
-    poses = parts.scratch.poses
+    scratch: Scratch = parts.scratch
+    poses = scratch.poses
     world = parts.world
     fields = world.fields
     h = 0.5 * fields.spacing_m

@@ -10,13 +10,15 @@ from lime_planner.collision.touched_points import touched_points
 from lime_planner.core.types import Array, Bool, Int64
 from lime_planner.motion.trajectory import Trajectory
 from lime_planner.pipeline import Pipeline
-from lime_planner.pipeline.figures import leaf_profile, sample_path
+from lime_planner.pipeline.clearance import StemClearance
+from lime_planner.pipeline.figures import sample_path
+from lime_planner.pipeline.leaf_spans import leaf_spans
 from lime_planner.pipeline.plan_record import PlanRecord
 
 _STEP_S = 0.04  # between two samples of a motion
 _STEP_RAD = 0.03  # between two samples of a path that has no times
 _MOST = 300
-CLEARANCE_SHOWN_M = 0.05  #: larger clearances are lower bounds only, and of no interest
+CLEARANCE_SHOWN_M = 0.1  #: larger clearances are of no interest
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,7 +30,7 @@ class Timeline:
         timed: whether they are times.
         configurations: (K, n) [rad].
         tool: (K, 3) position of the tool in the planning frame [m].
-        leaf: (K,) leaf intensity, 0 where no leaf is touched.
+        leaf: (K,) price of the leaves touched, 0 where none is.
         clearance_m: (K,) distance to the nearest stem, at most `CLEARANCE_SHOWN_M`.
         cost: (K,) ∫ (1 + w · leaf) ds so far [rad].
         leaf_points: (P,) indices of the scene's leaf points that are touched at any time.
@@ -69,9 +71,9 @@ def timeline_of(pipeline: Pipeline, shown: PlanRecord) -> Timeline:
     robot, settings, scene = pipeline.robot, shown.settings, shown.scene
     times, configurations, timed = _samples(shown.result.trajectory, shown.result.waypoints)
     target = None if shown.target is None else shown.target[:3]
-    leaf, clear = leaf_profile(pipeline.obstacles(scene, target, settings), configurations)
-    steps = np.linalg.norm(np.diff(configurations, axis=0), axis=1)
-    paid = (1.0 + settings.weight * 0.5 * (leaf[1:] + leaf[:-1])) * steps
+    obstacles = pipeline.obstacles(scene, target, settings)
+    contact = leaf_spans(obstacles, configurations)
+    lengths = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(configurations, axis=0), axis=1))])
     marks = touched_points(robot, pipeline.shapes, configurations, scene.leaf_points, settings.leaf_point_radius_m)
     ever = np.flatnonzero(marks.any(axis=0))
     return Timeline(
@@ -79,9 +81,9 @@ def timeline_of(pipeline: Pipeline, shown: PlanRecord) -> Timeline:
         timed,
         configurations,
         np.array([robot.forward(q)[:3, 3] for q in configurations]),
-        leaf,
-        np.minimum(clear, CLEARANCE_SHOWN_M),
-        np.concatenate([[0.0], np.cumsum(paid)]),
+        contact.price_at(lengths),
+        StemClearance(obstacles).along(configurations, CLEARANCE_SHOWN_M),
+        lengths + settings.weight * contact.charged_until(lengths),
         ever,
         np.ascontiguousarray(marks[:, ever]),
     )

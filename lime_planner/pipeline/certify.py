@@ -16,12 +16,13 @@ from lime_planner.motion.contract import violations
 from lime_planner.motion.timing import time_path
 from lime_planner.motion.trajectory import Trajectory
 from lime_planner.pipeline.context import Clock, ask
-from lime_planner.pipeline.figures import MEASURED_STEP_RAD, leaf_profile, sample_path
+from lime_planner.pipeline.leaf_spans import leaf_spans
 from lime_planner.pipeline.obstacles import Obstacles
 from lime_planner.robot.model import Robot
 
 CERTIFIED_STEP_RAD = 0.01  # spacing of the exact check along a path
 STRAIGHT_TOLERANCE_RAD = 0.001  # of corners on a straight stretch: a millimetre at the tool
+SLOWED_RAD = 0.02  # the arm is slow already this far before contact
 _CLOSE_TOLERANCE_RAD = 0.001  # of corners, where the motion touched something with the tolerance of the settings
 
 
@@ -54,14 +55,10 @@ def make_trajectory(robot: Robot, waypoints: Array, obstacles: Obstacles, settin
         tolerances[straight] = min(STRAIGHT_TOLERANCE_RAD, settings.corner_tolerance_rad)
     scale: Callable[[Array], Array] | None = None
     if settings.leaf_speed_scale < 1.0:
-        rows, lengths = sample_path(waypoints, MEASURED_STEP_RAD)
-        slow = leaf_profile(obstacles, rows)[0] > 0.0
-        slow |= np.concatenate([slow[1:], [False]]) | np.concatenate([[False], slow[:-1]])
-        values = np.where(slow, settings.leaf_speed_scale, 1.0)
+        contact = leaf_spans(obstacles, waypoints)
 
         def scale(p: Array) -> Array:
-            after = np.clip(np.searchsorted(lengths, p), 1, len(lengths) - 1)
-            return np.minimum(values[after - 1], values[after])
+            return np.where(contact.touches(p - SLOWED_RAD, p + SLOWED_RAD), settings.leaf_speed_scale, 1.0)
 
     return time_path(
         waypoints,

@@ -7,15 +7,17 @@ from typing import Any
 
 import numpy as np
 
-from lime_planner.collision.exact import ExactChecker
 from lime_planner.collision.fast import LEAF
 from lime_planner.collision.joint_space import measure
 from lime_planner.core.geometry import matrix_to_pose
 from lime_planner.core.types import Array
+from lime_planner.pipeline.clearance import StemClearance
+from lime_planner.pipeline.leaf_spans import LeafSpans, leaf_spans
 from lime_planner.pipeline.obstacles import Obstacles
 from lime_planner.planning.planner import load_planner
+from lime_planner.robot.model import Robot
 
-MEASURED_STEP_RAD = 0.02  # spacing of the figures
+MEASURED_STEP_RAD = 0.02  # spacing of the tool's path and of clearances
 _MAX_TOOL_POSES = 500
 
 
@@ -48,41 +50,47 @@ def leaf_profile(obstacles: Obstacles, configurations: Array) -> tuple[Array, Ar
     return leaf, clear
 
 
-def path_figures(
-    obstacles: Obstacles, checker: ExactChecker, waypoints: Array, T_base_tool: Array | None, straight_from: int | None = None
-) -> dict[str, Any]:
+def _tool_contact_m(robot: Robot, contact: LeafSpans, rows: Array, lengths: Array) -> float:
+    """Length of the tool's way on which any part of the arm touches leaves [m].
+
+    Args:
+        robot, contact: the arm, and where it touches leaves.
+        rows: (K, n) the path, sampled; lengths: (K,) along it [rad].
+    """
+    borders = contact.spans[:, :2].ravel()
+    at = np.unique(np.concatenate([lengths, np.clip(borders, 0.0, lengths[-1])]))
+    columns = [np.interp(at, lengths, column) for column in rows.T]
+    tool = np.array([robot.forward(np.array(q))[:3, 3] for q in zip(*columns, strict=True)])
+    inside = contact.price_at(0.5 * (at[1:] + at[:-1])) > 0.0
+    return float(np.linalg.norm(np.diff(tool, axis=0), axis=1)[inside].sum())
+
+
+def path_figures(obstacles: Obstacles, waypoints: Array, T_base_tool: Array | None, straight_from: int | None = None) -> dict[str, Any]:
     """The figures of `PlanResult` that describe a path (M, n), straight from waypoint `straight_from` on."""
     robot, settings = obstacles.robot, obstacles.settings
     rows, lengths = sample_path(waypoints, MEASURED_STEP_RAD)
-    leaf, clear = leaf_profile(obstacles, rows)
-    ds = np.diff(lengths)
-    touching = (leaf > 0.0).astype(np.float64)
-    contact = float((0.5 * (touching[1:] + touching[:-1]) * ds).sum())
-    intensity = float((0.5 * (leaf[1:] + leaf[:-1]) * ds).sum())
+    contact = leaf_spans(obstacles, waypoints)
     length = float(lengths[-1])
     poses = np.array([robot.forward(q) for q in rows])
     hops = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1)
-    lowest = int(np.argmin(clear))
-    clearance = float(clear[lowest])
-    if clearance < 0.05 and len(obstacles.hard):
-        clearance = min(clearance, checker.stem_distance(rows[lowest]))
-    at_nodes = leaf_profile(obstacles, waypoints)[0]
+    at_nodes, _ = leaf_profile(obstacles, waypoints)
     metric = load_planner(settings.planner).metric(settings)
-    collision = settings.c_perm * float(at_nodes.sum()) if metric == "node" else settings.weight * intensity
+    collision = settings.c_perm * float(at_nodes.sum()) if metric == "node" else settings.weight * contact.charged_rad
     keep = np.unique(np.linspace(0, len(rows) - 1, min(len(rows), _MAX_TOOL_POSES)).round().astype(int))
     figures: dict[str, Any] = {
         "cost": length + collision,
         "cost_metric": metric,
         "path_length_rad": length,
+        "cost_error": 0.0 if metric == "node" else settings.weight * contact.doubt_rad,
         "collision_cost": collision,
         "n_collision_nodes": int((at_nodes > 0.0).sum()),
-        "leaf_contact_rad": contact,
+        "leaf_contact_rad": contact.contact_rad,
         "tool_path_length_m": float(hops.sum()),
-        "tool_leaf_contact_m": float((0.5 * (touching[1:] + touching[:-1]) * hops).sum()),
-        "min_stem_clearance_m": clearance,
+        "tool_leaf_contact_m": _tool_contact_m(robot, contact, rows, lengths),
+        "min_stem_clearance_m": StemClearance(obstacles).smallest(rows),
         "waypoints": waypoints,
         "tool_path": matrix_to_pose(poses[keep]),
-        "tool_leaf": leaf[keep],
+        "tool_leaf": contact.price_at(lengths[keep]),
     }
     if straight_from is not None:
         begin, end = (robot.forward(waypoints[i])[:3, 3] for i in (straight_from, -1))

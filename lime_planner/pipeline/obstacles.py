@@ -55,10 +55,17 @@ class Obstacles:
         matter = self.settings.leaf_policy != "ignored" if leaves is None else leaves
         return make_arm_space(lower, upper, self.robot.chain, self.shapes, self.world, leaves=matter)
 
-    def measuring_space(self) -> ArmSpace:
-        """A space that takes every configuration and measures clearances farther out."""
+    def measuring_space(self, *, stems_alone: bool = False) -> ArmSpace:
+        """A space that takes every configuration and measures clearances farther out.
+
+        Args:
+            stems_alone: leave keep-out boxes, floor and workspace out of account.
+        """
         unlimited = np.full(self.robot.n, 1e9)
         measuring = self.world._replace(margin=_MEASURED_CLEARANCE_M, anchors=np.zeros((0, self.robot.n)), anchor_need=np.zeros(0))
+        if stems_alone:
+            nothing = empty_world(measuring.fields, self.robot.n)
+            measuring = measuring._replace(boxes=nothing.boxes, floor_z=nothing.floor_z, workspace=nothing.workspace)
         return make_arm_space(-unlimited, unlimited, self.robot.chain, self.shapes, measuring)
 
     def with_anchors(self, anchors: Array, needs: Array) -> Obstacles:

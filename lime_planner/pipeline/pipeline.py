@@ -157,7 +157,7 @@ class Pipeline:
             obstacles, checker, goals = self._goals(scene, aim, q, settings, seed, clock, counts, figures, ended)
             path, straight_from, T = self._path(obstacles, checker, q, goals, settings, seed, clock, counts, ended, deadline_s, iterations)
             figures |= {"T_base_tool": T, "straight_from": straight_from}
-            figures |= path_figures(obstacles, checker, path, T, straight_from)
+            figures |= path_figures(obstacles, path, T, straight_from)
             clock.lap("figures")
             limit = settings.max_leaf_contact_rad
             if limit >= 0.0 and figures["leaf_contact_rad"] > limit:

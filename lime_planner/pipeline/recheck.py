@@ -55,7 +55,7 @@ def follow(
         clock.lap("certificate")
         if hit is not None:
             raise Refusal(Status.PATH_INVALID, f"the exact check refuses the path: {hit}")
-        figures = path_figures(world, checker, path, None)
+        figures = path_figures(world, path, None)
         clock.lap("figures")
         figures["trajectory"] = timed_motion(world, checker, path, path[0], settings, clock, should_stop, straight)
         status, sentence = Status.SUCCEEDED, f"{figures['path_length_rad']:.2f} rad, {figures['trajectory'].duration_s:.1f} s of motion"

@@ -34,6 +34,7 @@ ROWS: tuple[tuple[str, str, str, float, int], ...] = (
 NUMBERS = (
     "planning_time_s",
     "cost",
+    "cost_error",
     "path_length_rad",
     "collision_cost",
     "leaf_contact_rad",
@@ -58,6 +59,7 @@ class PlanResult:
         iterations: configurations that it sampled.
         planning_time_s: wall time of the whole plan.
         cost: of the path, in the metric of the planner.
+        cost_error: by how much `cost` may be off, because contact is not followed to its last hundredth of a milliradian.
         cost_metric: `integral` (length + weight · ∫ leaf ds) or `node` (the paper's).
         path_length_rad: length in joint space.
         collision_cost: the cost's part that leaves cause.
@@ -66,7 +68,7 @@ class PlanResult:
         tool_path_length_m: length of the tool's way.
         tool_leaf_contact_m: length of its part with leaf contact anywhere on the arm.
         min_stem_clearance_m: smallest distance between arm and stem points' surface along the path, points hidden by the exclusion
-            sphere left out; exact up to 2.5 cm, beyond that a lower bound, 0.5 without anything in reach.
+            sphere left out; 0.5 where it is more, or without any.
         goal_error_m: distance of the tool at the end from the target.
         goal_error_rad: angle between the two.
         waypoints: (M, n) [rad].
@@ -94,6 +96,7 @@ class PlanResult:
     iterations: int = 0
     planning_time_s: float = 0.0
     cost: float = float("nan")
+    cost_error: float = float("nan")
     cost_metric: str = "integral"
     path_length_rad: float = float("nan")
     collision_cost: float = float("nan")

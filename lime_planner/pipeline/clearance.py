@@ -1,0 +1,84 @@
+"""How near the arm comes to the stems: one measure for figures, tables and plots.
+
+Close to a stem the signed distance grids of the meshes decide, as in the search. They end 3 cm outside of a body; farther away points on
+the body's surface are close enough (6 mm apart, which overstates such a distance by half a millimetre at most).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from lime_planner.collision.fast import ZONE
+from lime_planner.collision.joint_space import measure
+from lime_planner.collision.link_shapes import GRID_PADDING_M
+from lime_planner.collision.world import CAP_M
+from lime_planner.core.types import Array
+from lime_planner.pipeline.obstacles import Obstacles
+from lime_planner.robot.kinematics import forward_kinematics
+
+_BELOW_GRIDS_M = 0.002  # grids are believed up to this much before they end
+_MODEL_ERROR_M = 0.001  # the fast model may overstate a clearance by this
+
+
+class StemClearance:
+    """Distances between the arm's moving links and the stem points' surface, those that are spared left out."""
+
+    def __init__(self, obstacles: Obstacles) -> None:
+        """Prepare.
+
+        Args:
+            obstacles: the scene; boxes, floor and workspace do not count.
+        """
+        self._obstacles, world = obstacles, obstacles.world
+        self._space = obstacles.measuring_space(stems_alone=True)
+        self._grid_m = GRID_PADDING_M - world.stem_radius - _BELOW_GRIDS_M
+        self._stems = cKDTree(obstacles.hard) if len(obstacles.hard) else None
+        centre, radius = world.exclusion[:3], float(world.exclusion[3])
+        kept = obstacles.hard[np.linalg.norm(obstacles.hard - centre, axis=1) >= radius] if radius > 0.0 else obstacles.hard
+        self._unspared = cKDTree(kept) if len(kept) else None
+        self._poses = np.empty((obstacles.robot.n + 1, 3, 4))
+
+    def at(self, q: Array, most_m: float = CAP_M) -> float:
+        """Return the distance at a configuration (n,), negative in a stem, at most `most_m` [m]."""
+        return self._exact(q, self._bounds(q), most_m)
+
+    def along(self, configurations: Array, most_m: float = CAP_M) -> Array:
+        """Return the distances at configurations (K, n), at most `most_m` [m]."""
+        return np.array([self.at(q, most_m) for q in np.ascontiguousarray(configurations)])
+
+    def smallest(self, configurations: Array) -> float:
+        """Return the smallest distance over configurations (K, n), at most `CAP_M` [m]."""
+        rows = np.ascontiguousarray(configurations)
+        bounds = np.array([self._bounds(q) for q in rows])
+        nearest, best = bounds.min(axis=1), CAP_M
+        for k in np.argsort(nearest):
+            if nearest[k] - _MODEL_ERROR_M >= best:
+                break
+            best = min(best, self._exact(rows[k], bounds[k], best))
+        return float(best)
+
+    def _bounds(self, q: Array) -> Array:
+        """Lower bounds for each body (B,), the distance itself where that is small [m]; the last one is whether points are spared."""
+        measure(self._space, q)
+        return np.append(self._space.state.clear, self._space.state.misc[ZONE] >= 0.0)
+
+    def _exact(self, q: Array, bounds: Array, most_m: float) -> float:
+        clear, sparing = bounds[:-1], bool(bounds[-1])
+        best = min(float(clear.min(initial=CAP_M, where=clear < self._grid_m)), most_m)
+        if self._stems is None or best < self._grid_m:
+            return best
+        shapes = self._obstacles.shapes
+        forward_kinematics(self._obstacles.robot.chain, np.ascontiguousarray(q), self._poses)
+        for body in np.argsort(clear):
+            if clear[body] >= best:
+                break
+            tree = self._unspared if sparing and body == shapes.gripper else self._stems
+            first, last = shapes.fine_start[shapes.coarse_start[body : body + 2]]
+            surface = shapes.surface[shapes.surface_start[first] : shapes.surface_start[last]]
+            if tree is None or not len(surface):
+                continue
+            pose, radius = self._poses[body], self._obstacles.world.stem_radius
+            found = np.asarray(tree.query(surface @ pose[:, :3].T + pose[:, 3], distance_upper_bound=best + radius)[0])
+            best = min(best, max(float(found.min()) - radius, self._grid_m))
+        return best
