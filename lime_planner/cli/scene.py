@@ -144,7 +144,7 @@ def run_info(args: argparse.Namespace) -> int:
     from lime_planner.core.parameters import parse_assignment
     from lime_planner.output.console import console, working
     from lime_planner.scene.files import load_start
-    from lime_planner.scene.scene import Scene
+    from lime_planner.scene.scene import DEFAULT_FRAME, Scene
 
     values = dict(parse_assignment(text) for text in args.assignments)
     idle = [name for name in values if name not in LABEL_PARAMETERS]
@@ -154,7 +154,7 @@ def run_info(args: argparse.Namespace) -> int:
         values["label_field"] = args.label_field
     options = label_options(values)
     with working("reading"):
-        scene, start = Scene.load(args.scene, **options), load_start(args.scene)
+        scene, start = Scene.load(args.scene, frame_id=DEFAULT_FRAME, **options), load_start(args.scene)
         labels = _labels(args.scene, options)
     if args.json is not None:
         emit_json(args.json, {**_figures(args.scene, scene, start), "labels": labels})

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lime_planner.core.errors import SceneError
-from lime_planner.core.types import Bool, Float32
+from lime_planner.core.types import Bool, Float32, Int16
 
 #: Points that are rounded to this or more are not where they were measured, beside margins of millimetres.
 _COARSE_M = 0.0005
@@ -75,6 +75,33 @@ def points_of(name: str, value: npt.ArrayLike) -> Float32:
     if array.ndim != 2 or array.shape[1] != 3:
         raise SceneError(f"{name}: shape {array.shape}, expected (N, 3)")
     return array
+
+
+def seen_from(viewpoints: npt.ArrayLike, view_ids: npt.ArrayLike | None, n: int) -> Int16:
+    """Return the number of each point's viewpoint, (n,).
+
+    Args:
+        viewpoints: (V, 3).
+        view_ids: (n,) integers; may be left out where there is one viewpoint.
+        n: the number of points.
+
+    Raises:
+        SceneError: they do not fit, or there are several viewpoints and no numbers.
+    """
+    n_views = len(points_of("viewpoints", viewpoints))
+    if view_ids is None:
+        if n_views != 1:
+            raise SceneError(f"view_ids: missing; there are {n_views} viewpoints")
+        return np.zeros(n, np.int16)
+    ids = column("view_ids", view_ids, n)
+    if ids.dtype.kind not in "iu" or (n and not -1 <= int(ids.min()) <= int(ids.max()) < min(n_views, 32_768)):
+        raise SceneError(f"view_ids: expected integers from -1 to {min(n_views, 32_768) - 1}, one of {n_views} viewpoints or none")
+    return ids.astype(np.int16)
+
+
+def view_ids_of(ids: Int16 | None, n: int) -> Int16:
+    """Return the numbers of the viewpoints of n points, -1 where there are none."""
+    return np.full(n, -1, np.int16) if ids is None else ids
 
 
 def precision_note(points: npt.NDArray[Any], scale: float = 1.0) -> tuple[str, ...]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -82,7 +83,10 @@ def clean_scene(
         leaf_costs=leaf_costs[~stray],
         stem_points=cropped.stem_points[stem_kept],
         fruit_points=cropped.fruit_points[fruit_kept],
-        leaf_ids=None if cropped.leaf_ids is None else cropped.leaf_ids[final],
+        leaf_ids=_taken(cropped.leaf_ids, final),
+        leaf_view_ids=_taken(cropped.leaf_view_ids, final),
+        stem_view_ids=_taken(cropped.stem_view_ids, stem_kept),
+        fruit_view_ids=_taken(cropped.fruit_view_ids, fruit_kept),
         counts=counts,
         stem_displacement_m=scene.stem_displacement_m + max(stem_moved, fruit_moved),
         leaf_displacement_m=scene.leaf_displacement_m + leaf_moved,
@@ -125,9 +129,16 @@ def _subset(scene: Scene, leaf: Bool, stem: Bool, fruit: Bool, *, reason: str) -
         leaf_costs=scene.leaf_costs[leaf],
         stem_points=scene.stem_points[stem],
         fruit_points=scene.fruit_points[fruit],
-        leaf_ids=None if scene.leaf_ids is None else scene.leaf_ids[leaf],
+        leaf_ids=_taken(scene.leaf_ids, leaf),
+        leaf_view_ids=_taken(scene.leaf_view_ids, leaf),
+        stem_view_ids=_taken(scene.stem_view_ids, stem),
+        fruit_view_ids=_taken(scene.fruit_view_ids, fruit),
         counts=counts,
     )
+
+
+def _taken(column: npt.NDArray[Any] | None, which: npt.NDArray[Any]) -> npt.NDArray[Any] | None:
+    return None if column is None else column[which]
 
 
 def _add(counts: dict[str, int], reason: str, n: int) -> None:

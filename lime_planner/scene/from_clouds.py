@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lime_planner.core.errors import SceneError
+from lime_planner.core.geometry import clean_name
 from lime_planner.core.types import Array, Float32
 from lime_planner.scene.arrays import precision_note
 from lime_planner.scene.point_cloud2 import COST_FIELD, decode_cloud
@@ -99,6 +100,7 @@ def scene_of_cloud(
     T_planning_cloud = transform(msg.header) if len(cloud.points) else None
     points = cloud.points if T_planning_cloud is None else moved(cloud.points, T_planning_cloud)
     between()
+    at_home = clean_name(msg.header.frame_id) == planning_frame  # the base is no camera
     one_class = np.full(len(points), LEAF if name == "leaf_cloud" else STEM, np.uint8)
     try:
         scene = Scene.from_points(
@@ -111,6 +113,7 @@ def scene_of_cloud(
             ignored_labels=labels.ignored if labelled else (),
             class_costs=labels.class_costs if labelled else (),
             permeability_cost=cloud.columns.get(COST_FIELD),
+            viewpoints=None if T_planning_cloud is None or at_home else T_planning_cloud[None, :3, 3],
             notes=tuple(f"{topic}: {note}" for note in precision_note(cloud.points)),
         )
     except SceneError as error:

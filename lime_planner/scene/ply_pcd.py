@@ -18,7 +18,8 @@ _COST_FIELD = "permeability_cost"
 
 
 def read_cloud(path: Path, label_field: str) -> dict[str, npt.NDArray[Any]]:
-    """Read `points` (N, 3), `labels` (N,) and, where the file has the field, `permeability_cost` (N,).
+    """Read `points` (N, 3), `labels` (N,) and, where the file has the field, `permeability_cost` (N,); where a
+    PCD names it, its VIEWPOINT as `viewpoints` (1, 3).
 
     Fields are found in any case and with the `scalar_` that CloudCompare puts before a name. Coordinates that the file holds in
     more than single precision stay in double.
@@ -27,7 +28,7 @@ def read_cloud(path: Path, label_field: str) -> dict[str, npt.NDArray[Any]]:
         SceneError: the file is no point cloud, truncated, empty, or lacks a field.
     """
     try:
-        columns = read_ply(path) if path.suffix.lower() == ".ply" else read_pcd(path)[0]
+        columns, viewpoint = (read_ply(path), None) if path.suffix.lower() == ".ply" else read_pcd(path)
     except OSError as error:
         raise SceneError(f"{path}: cannot be read ({error.strerror or error})") from error
     except SceneError as error:
@@ -47,6 +48,8 @@ def read_cloud(path: Path, label_field: str) -> dict[str, npt.NDArray[Any]]:
     cost = _places(names, _COST_FIELD)
     if cost:
         members[_COST_FIELD] = columns[cost[0]][1]
+    if viewpoint is not None:
+        members["viewpoints"] = viewpoint[None, :3]
     return members
 
 

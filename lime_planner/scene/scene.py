@@ -11,8 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from lime_planner.core.errors import ParameterError, SceneError
-from lime_planner.core.types import Array, Float32, Int32, UInt8
-from lime_planner.scene.arrays import any_of, column, finite_rows, frozen, points_of, precision_note, whole_labels
+from lime_planner.core.types import Array, Float32, Int16, Int32, UInt8
+from lime_planner.scene.arrays import any_of, column, finite_rows, frozen, points_of, precision_note, seen_from, view_ids_of, whole_labels
 from lime_planner.scene.files import Start, read_members, write_members
 from lime_planner.scene.labels import ClassCosts, class_prices, fruit_in_force, point_prices
 from lime_planner.scene.moving import MOVED, SCALED, carried, placed
@@ -26,6 +26,9 @@ DEFAULT_FRAME = "base"
 FRUIT_LINK_M = 0.012  #: fruit points closer than this belong to one fruit, or to fruits that touch
 FRUIT_EXTENT_M = 0.065  #: a cluster longer than this along any axis is several fruits (a lime measures 4-5 cm)
 FRUIT_RADIUS_M = 0.03  #: what is let go of such a cluster: its points this close to the target
+
+#: The viewpoints of the points of each class, in the order in which files hold the classes.
+VIEW_IDS = ("leaf_view_ids", "stem_view_ids", "fruit_view_ids")
 
 _TRUTH = ("leaf_triangles", "leaf_triangle_ids", "fruit_centres", "fruit_radii")
 _DISPLACEMENTS = ("stem_displacement_m", "leaf_displacement_m")
@@ -48,6 +51,10 @@ class Scene:
         stem_displacement_m: no received stem or fruit point inside the crop is farther than this from a kept one.
         leaf_displacement_m: the same for the leaf points that were not outliers.
         notes: what is doubtful about where the points came from, a sentence each.
+        viewpoints: (V, 3) float32, where the points were seen from; None where that is not known.
+        leaf_view_ids: (N,) int16, the viewpoint of each leaf point, -1 where it is not known; None without viewpoints.
+        stem_view_ids: (M,) the same of the stem points.
+        fruit_view_ids: (K,) the same of the fruit points.
         leaf_ids: (N,) int32, the leaf each leaf point lies on; generated plants only.
         leaf_triangles: (L, 3, 3) float32, corners of the leaves' surface; generated plants only.
         leaf_triangle_ids: (L,) int32, the leaf each triangle belongs to.
@@ -66,6 +73,10 @@ class Scene:
     stem_displacement_m: float = 0.0
     leaf_displacement_m: float = 0.0
     notes: tuple[str, ...] = ()
+    viewpoints: Float32 | None = None
+    leaf_view_ids: Int16 | None = None
+    stem_view_ids: Int16 | None = None
+    fruit_view_ids: Int16 | None = None
     leaf_ids: Int32 | None = None
     leaf_triangles: Float32 | None = None
     leaf_triangle_ids: Int32 | None = None
@@ -84,6 +95,10 @@ class Scene:
             "fruit_points": (np.float32, (-1, 3)),
             "target_pose": (np.float64, (7,)),
             "grasp_candidates": (np.float64, (-1, 7)),
+            "viewpoints": (np.float32, (-1, 3)),
+            "leaf_view_ids": (np.int16, (n_leaf,)),
+            "stem_view_ids": (np.int16, (len(self.stem_points),)),
+            "fruit_view_ids": (np.int16, (len(self.fruit_points),)),
             "leaf_ids": (np.int32, (n_leaf,)),
             "leaf_triangles": (np.float32, (-1, 3, 3)),
             "leaf_triangle_ids": (np.int32, (n_triangles,)),
@@ -98,11 +113,19 @@ class Scene:
             raise SceneError(f"permeability_cost: {float(self.leaf_costs.min()):g} is below its limit 0")
         if self.target_pose is not None and np.linalg.norm(self.target_pose[3:]) < 1e-6:
             raise SceneError("target_pose: its quaternion has length zero; it must describe a rotation")
+        for name in VIEW_IDS:
+            ids, n_views = getattr(self, name), 0 if self.viewpoints is None else len(self.viewpoints)
+            if ids is not None and len(ids) and not -1 <= int(ids.min()) <= int(ids.max()) < n_views:
+                raise SceneError(f"{name}: from {ids.min()} to {ids.max()}, but there are {n_views} viewpoints")
         object.__setattr__(self, "counts", dict(self.counts))
 
     def __repr__(self) -> str:
         numbers = f"{len(self.leaf_points)} leaf, {len(self.stem_points)} stem and {len(self.fruit_points)} fruit points"
         return f"<Scene of {numbers} in {self.frame_id or 'the planning frame'}, {'no' if self.target_pose is None else 'with a'} target>"
+
+    @property
+    def _sizes(self) -> tuple[int, int, int]:
+        return len(self.leaf_points), len(self.stem_points), len(self.fruit_points)
 
     @property
     def n_points(self) -> int:
@@ -182,7 +205,10 @@ class Scene:
             members["permeability_cost"] = costs
         if self.leaf_ids is not None:
             members["leaf_ids"] = np.concatenate([self.leaf_ids, np.full(len(points) - len(self.leaf_ids), -1, dtype=np.int32)])
-        members.update({name: value for name in (*_POSES, *_TRUTH) if (value := getattr(self, name)) is not None})
+        if self.viewpoints is not None:
+            ids = [view_ids_of(getattr(self, name), n) for name, n in zip(VIEW_IDS, self._sizes, strict=True)]
+            members["view_ids"] = np.concatenate(ids)
+        members.update({name: value for name in (*_POSES, "viewpoints", *_TRUTH) if (value := getattr(self, name)) is not None})
         members.update({name: value for name in _DISPLACEMENTS if (value := getattr(self, name)) > 0.0})
         write_members(path, members, start)
 
@@ -211,6 +237,8 @@ class Scene:
         stake_points: npt.ArrayLike | None = None,
         target_pose: npt.ArrayLike | None = None,
         leaf_ids: npt.ArrayLike | None = None,
+        viewpoints: npt.ArrayLike | None = None,
+        view_ids: npt.ArrayLike | None = None,
         **truth: Any,
     ) -> Scene:
         """Sort one labelled cloud into a scene.
@@ -233,6 +261,8 @@ class Scene:
             stake_points: (S, 3) [m], further impermeable points.
             target_pose: (7,) T_base_tool at the grasp.
             leaf_ids: (N,) integers, used at leaf points.
+            viewpoints: (V, 3) [m], where the points were seen from.
+            view_ids: (N,) integers, the viewpoint of each point, -1 where it is not known; with one viewpoint it is everybody's.
             **truth: further fields of `Scene`, taken as they are.
 
         Raises:
@@ -260,6 +290,7 @@ class Scene:
         }
         leaf, fruit, hard = leaf & finite, fruit & finite, (stem | unknown) & finite
         costs: npt.NDArray[Any] = np.ones(n) if permeability_cost is None else column("permeability_cost", permeability_cost, n)
+        ids = None if viewpoints is None else seen_from(viewpoints, view_ids, n)
         return cls(
             leaf_points=points[leaf],
             leaf_costs=point_prices(labels[leaf], costs[leaf], prices),
@@ -269,6 +300,10 @@ class Scene:
             target_pose=None if target_pose is None else np.asarray(target_pose),
             counts=counts,
             leaf_ids=None if leaf_ids is None else column("leaf_ids", leaf_ids, n)[leaf],
+            viewpoints=None if viewpoints is None else points_of("viewpoints", viewpoints),
+            leaf_view_ids=None if ids is None else ids[leaf],
+            stem_view_ids=None if ids is None else np.concatenate([ids[hard], np.full(int(finite_stakes.sum()), -1, np.int16)]),
+            fruit_view_ids=None if ids is None else ids[fruit],
             **truth,
         )
 
@@ -321,6 +356,14 @@ class Scene:
 
 def merged(parts: Sequence[Scene], frame_id: str) -> Scene:
     """Put the scenes of several clouds of one frame together; the counts add up, ground truth and targets are left out."""
+    views = [part.viewpoints for part in parts if part.viewpoints is not None]
+    ids: dict[str, Any] = {}
+    if views:
+        firsts = np.cumsum([0, *(0 if part.viewpoints is None else len(part.viewpoints) for part in parts)])
+        for k, name in enumerate(VIEW_IDS):
+            own = [view_ids_of(getattr(part, name), part._sizes[k]) for part in parts]
+            ids[name] = np.concatenate([np.where(i < 0, i, i + first).astype(np.int16) for i, first in zip(own, firsts[:-1], strict=True)])
+        ids["viewpoints"] = np.concatenate(views)
     counts: dict[str, int] = {}
     for part in parts:
         for name, count in part.counts.items():
@@ -335,4 +378,5 @@ def merged(parts: Sequence[Scene], frame_id: str) -> Scene:
         notes=tuple(dict.fromkeys(note for part in parts for note in part.notes)),
         stem_displacement_m=max((part.stem_displacement_m for part in parts), default=0.0),
         leaf_displacement_m=max((part.leaf_displacement_m for part in parts), default=0.0),
+        **ids,
     )

@@ -99,6 +99,8 @@ def test_an_arm_that_moves_its_camera_has_not_moved_its_base() -> None:
     rig.see("gripper")
     rig.drive(101.1, 104.0, speed=0.0)
     assert rig.stem_x() == pytest.approx(1.8)
+    viewpoints = rig.source.scene(rig.snapshot, never).viewpoints
+    assert viewpoints == pytest.approx(np.array([[0.1, 0.0, 0.0]])), "where the camera was at the stamp"
 
 
 def test_a_scene_that_is_seen_once_outlives_the_history_of_transforms() -> None:
