@@ -25,6 +25,7 @@ STEP_RAD = 0.01
 STEM_RADIUS_M = 0.004
 EXCLUSION_M, APPROACH_M, PADDING_M = 0.06, 0.10, 0.01  # the planner's defaults
 START_TOLERANCE_RAD = 0.012  # the contract's 0.01, and what one joint state may move on the way to us
+LIMIT_TOLERANCE_RAD = 0.03  # an arm that rests so far beyond a limit is led back
 STAMP_S = 0.4  # how well the moment of a cloud's stamp is known here
 ON_THE_WAY_S = 0.05  # a command that left before a stop may come after its answer
 STOP_REACH_RAD = 0.15  # a stop ends at most this far from the newest joint state, or from the path
@@ -170,6 +171,7 @@ class Judge:
             acceleration_limits=robot.acceleration_limits,
             joint_names=robot.joint_names,
             start_tolerance_rad=START_TOLERANCE_RAD,
+            limit_tolerance_rad=LIMIT_TOLERANCE_RAD,
         )
         if self._running is not None and at_s < self._running[0] + self._running[1].duration_s - 0.05:
             found.append("it was sent while another motion ran")

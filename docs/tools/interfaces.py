@@ -53,6 +53,7 @@ MEANINGS: dict[str, dict[str, str]] = {
         "~/preview": "Plans and shows the path; moves nothing.",
         "~/preview_to": "The same for the goal in the request (its start is ignored); returns the tool path, empty when there is none.",
         "~/execute": "**Moves the arm.** Checks the previewed plan again, against the newest clouds and joint state, and sends it.",
+        "~/plan_and_wait": "**Moves the arm.** As `~/plan`, but answers when the arm rests again: with the motion's verdict (`execution_code`) where one was sent.",
         "~/retreat": "**Moves the arm.** Backs out along the motion executed last, checked again.",
         "~/stop": "Ends planning and motion. Succeeds when nothing runs, too.",
     },

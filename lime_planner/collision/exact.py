@@ -83,6 +83,7 @@ class ExactChecker:
         exclusion_radius_m: float = 0.06,
         exclusion_heights_m: tuple[float, float] = (0.0, 0.0),
         approach_zone_m: float = 0.10,
+        should_stop: Callable[[], bool] = lambda: False,
     ) -> None:
         """Prepare the check of a scene, everything in the planning frame.
 
@@ -99,8 +100,10 @@ class ExactChecker:
             exclusion_radius_m: its radius.
             exclusion_heights_m: lowest and highest height over the centre of an upright segment, around which that radius holds.
             approach_zone_m: the sphere counts only while the tool is at most this far from its centre.
+            should_stop: cancels; the first check with larger points takes seconds to prepare.
 
         Raises:
+            Refusal: CANCELLED.
             ProblemError: an array of the wrong shape, with NaN, or a negative length; the text names it.
         """
         import fcl
@@ -113,8 +116,8 @@ class ExactChecker:
         sphere = (self._exclusion, self._exclusion_radius_m, exclusion_heights_m)
         stems = _checked("impermeable_points", impermeable_points, (-1, 3))
         leaves = _checked("leaf_points", np.zeros((0, 3)) if leaf_points is None else leaf_points, (-1, 3))
-        self._stems = PointTest(robot, stems, _length("point_radius_m", point_radius_m), *sphere)
-        self._leaves = PointTest(robot, leaves, _length("leaf_point_radius_m", leaf_point_radius_m), *sphere)
+        self._stems = PointTest(robot, stems, _length("point_radius_m", point_radius_m), *sphere, should_stop)
+        self._leaves = PointTest(robot, leaves, _length("leaf_point_radius_m", leaf_point_radius_m), *sphere, should_stop)
         self._keep_out = _checked("keep_out_boxes", np.zeros((0, 6)) if keep_out_boxes is None else keep_out_boxes, (-1, 6), finite=False)
         self._floor_z_m = float(floor_z_m)
         box = [-np.inf] * 3 + [np.inf] * 3 if workspace_box is None else workspace_box

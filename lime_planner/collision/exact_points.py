@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -42,11 +43,11 @@ def _hull_corners(link: LinkMesh) -> Array:
         return link.vertices
 
 
-def grids_of(robot: Robot, padding_m: float) -> LinkGrids:
+def grids_of(robot: Robot, padding_m: float, should_stop: Callable[[], bool] = lambda: False) -> LinkGrids:
     """Return voxels around a robot's links that reach at least `padding_m` beyond them, computed once."""
     grids = _GRIDS.get(robot)
     if grids is None or grids.padding < padding_m - 1e-9:
-        grids = _GRIDS[robot] = build_grids(robot.links, padding_m)
+        grids = _GRIDS[robot] = build_grids(robot.links, padding_m, should_stop)
     return grids
 
 
@@ -66,6 +67,7 @@ class PointTest:
         spared_centre: Array | None,
         spared_radius_m: float,
         spared_heights_m: tuple[float, float] = (0.0, 0.0),
+        should_stop: Callable[[], bool] = lambda: False,
     ) -> None:
         """Sort the cloud.
 
@@ -76,6 +78,10 @@ class PointTest:
             spared_centre: (3,) centre of the sphere whose points do not count for the gripper's links when asked so, or None.
             spared_radius_m: its radius.
             spared_heights_m: lowest and highest height over the centre of an upright segment, around which that radius holds.
+            should_stop: cancels; voxels for a larger radius take seconds the first time.
+
+        Raises:
+            Refusal: CANCELLED.
         """
         import fcl
 
@@ -83,7 +89,7 @@ class PointTest:
         self._links = robot.links
         self._boxes = boxes_of(robot)
         self.blocks = make_blocks(points, radius_m, robot.reach_m)
-        self._grids = grids_of(robot, self.blocks.largest + HALF_DIAGONAL_M)
+        self._grids = grids_of(robot, self.blocks.largest + HALF_DIAGONAL_M, should_stop)
         self.spared = np.zeros(len(self.blocks.points), dtype=np.bool_)
         if spared_centre is not None:
             offset = self.blocks.points - spared_centre

@@ -8,13 +8,15 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
 from lime_planner.core.atomic_files import replacing
 from lime_planner.core.cache_folder import cache_root
+from lime_planner.core.elsewhere import call_elsewhere
 from lime_planner.core.types import Array, Float32, Int64
 from lime_planner.robot.meshes import LinkMesh
 
@@ -43,38 +45,58 @@ class LinkGrids(NamedTuple):
     padding: float
 
 
-def build_grids(links: Sequence[LinkMesh], padding_m: float) -> LinkGrids:
+def build_grids(links: Sequence[LinkMesh], padding_m: float, should_stop: Callable[[], bool] = lambda: False) -> LinkGrids:
     """Make the grids of all links, or read them from the package's cache (a few seconds the first time).
 
     Args:
         links: the links' meshes.
         padding_m: how far the grids reach beyond the links; rounded up to whole centimetres.
+        should_stop: cancels.
+
+    Raises:
+        Refusal: CANCELLED.
     """
     padding = 0.01 * int(np.ceil(padding_m / 0.01 - 1e-9))
     origin = np.stack([link.vertices.min(axis=0) - padding for link in links])
     top = np.stack([link.vertices.max(axis=0) + padding for link in links])
     size = np.ceil((top - origin) / PITCH_M).astype(np.int64)
     start = np.concatenate([[0], np.cumsum(size.prod(axis=1))]).astype(np.int64)
-    values = np.concatenate([_cached_values(link, origin[i], size[i]) for i, link in enumerate(links)])
+    known = [_stored_values(link, origin[i], size[i]) for i, link in enumerate(links)]
+    missing = [i for i, values in enumerate(known) if values is None]
+    if missing:
+        made = call_elsewhere(_make_values, [links[i] for i in missing], origin[missing], size[missing], should_stop=should_stop)
+        for i, values in zip(missing, made, strict=True):
+            known[i] = values
+    values = np.concatenate([values for values in known if values is not None])
     return LinkGrids(origin, size, start[:-1], values, padding)
 
 
-def _cached_values(link: LinkMesh, origin: Array, size: Int64) -> Float32:
+def _file(link: LinkMesh, origin: Array, size: Int64) -> Path:
     digest = hashlib.sha256(f"{_VERSION} {PITCH_M} {origin.tolist()} {size.tolist()}".encode())
     digest.update(np.ascontiguousarray(link.vertices).tobytes())
     digest.update(np.ascontiguousarray(link.triangles).tobytes())
-    path = cache_root() / f"linkgrid-{digest.hexdigest()[:24]}.npy"
-    count = int(size.prod())
+    return cache_root() / f"linkgrid-{digest.hexdigest()[:24]}.npy"
+
+
+def _stored_values(link: LinkMesh, origin: Array, size: Int64) -> Float32 | None:
     try:
-        stored = np.load(path)
-        if stored.shape == (count,) and stored.dtype == np.float32:
+        stored = np.load(_file(link, origin, size))
+        if stored.shape == (int(size.prod()),) and stored.dtype == np.float32:
             return np.asarray(stored)
     except (OSError, ValueError, EOFError):  # not there, or half-written by a process that was stopped
         pass
-    values = _distance_values(link, origin, size)
-    with contextlib.suppress(OSError), replacing(path) as temporary:  # a full disk: do without
-        np.save(temporary, values)
-    return values
+    return None
+
+
+def _make_values(links: Sequence[LinkMesh], origin: Array, size: Int64) -> list[Float32]:
+    """Make the values of several links, and store them; Open3D and SciPy hold the interpreter for seconds."""
+    made = []
+    for link, lowest, voxels in zip(links, origin, size, strict=True):
+        values = _distance_values(link, lowest, voxels)
+        with contextlib.suppress(OSError), replacing(_file(link, lowest, voxels)) as temporary:  # a full disk: do without
+            np.save(temporary, values)
+        made.append(values)
+    return made
 
 
 def _distance_values(link: LinkMesh, origin: Array, size: Int64) -> Float32:

@@ -143,6 +143,7 @@ class Settings:
     acceleration_scaling: float = _row(1.0, "Share of the joint acceleration limits that a motion may use.", "", 0.01, 1.0)
     leaf_speed_scale: float = _row(1.0, "Share of the speed used where the arm touches leaves.", "", 0.05, 1.0)
     trajectory_dt_s: float = _row(0.02, "Time grid of the trajectory.", "s", 0.01, 0.5)
+    start_limit_tolerance_rad: float = _row(0.03, "A start this far beyond a joint limit is led back inside, one farther out is START_INVALID; a node takes goal_tolerance_rad and half as much again where that is more.", "rad", 0.0, 1.0)
     corner_tolerance_rad: float = _row(0.01, "How far the timed motion may cut the corners of the path, in joint space.", "rad", 0.0005, 0.1)
 
     @property

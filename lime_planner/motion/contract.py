@@ -35,6 +35,7 @@ def violations(
     acceleration_scaling: float = 1.0,
     joint_names: Sequence[str] | None = None,
     start_tolerance_rad: float = START_TOLERANCE_RAD,
+    limit_tolerance_rad: float = 0.0,
 ) -> list[str]:
     """List every rule of the trajectory message that a motion breaks, each joint at its worst point.
 
@@ -51,6 +52,7 @@ def violations(
         acceleration_scaling: part of the acceleration limits that may be used.
         joint_names: the configured arm joints in the driver's order; the motion's own by default.
         start_tolerance_rad: largest distance of point 0 from `q_measured` in any joint [rad].
+        limit_tolerance_rad: how far beyond a joint limit point 0 may be [rad]; from there the motion must lead back, never farther out.
 
     Returns:
         Sentences that name joint, point, value and limit; empty when the motion may be sent.
@@ -73,7 +75,7 @@ def violations(
         found += _finite(trajectory)
         found += _start(trajectory, given["q_measured"], start_tolerance_rad)
         found += _ends(trajectory)
-        found += _positions(trajectory, given["lower"], given["upper"])
+        found += _positions(trajectory, given["lower"], given["upper"], limit_tolerance_rad)
         if len(trajectory) > 1:
             found += _motion(trajectory, given["velocity_limits"] * velocity_scaling, given["acceleration_limits"] * acceleration_scaling)
     return found
@@ -155,11 +157,14 @@ def _ends(trajectory: Trajectory) -> list[str]:
     return found
 
 
-def _positions(trajectory: Trajectory, lower: Array, upper: Array) -> list[str]:
+def _positions(trajectory: Trajectory, lower: Array, upper: Array, tolerance_rad: float) -> list[str]:
     below, above = lower - trajectory.positions, trajectory.positions - upper
     found = []
     for word, excess, limit in (("below", below, lower), ("above", above, upper)):
-        for joint, point in _worst(excess > POSITION_TOLERANCE_RAD, excess):
+        # A joint that starts beyond its limit comes nearer to it with every point, and stays inside once it is.
+        nearest = np.maximum(np.minimum.accumulate(excess, axis=0), 0.0)
+        allowed = np.where(excess[0] <= tolerance_rad + POSITION_TOLERANCE_RAD, nearest, 0.0)
+        for joint, point in _worst(excess > allowed + POSITION_TOLERANCE_RAD, excess):
             found.append(
                 f"{trajectory.joint_names[joint]} is at {trajectory.positions[point, joint]:.4f} rad at point {point}, "
                 f"{word} its limit of {limit[joint]:.4f} rad"

@@ -86,6 +86,7 @@ def contract_violations(robot: Robot, trajectory: Trajectory, q_measured: Array,
         velocity_scaling=settings.velocity_scaling,
         acceleration_scaling=settings.acceleration_scaling,
         joint_names=robot.joint_names,
+        limit_tolerance_rad=settings.start_limit_tolerance_rad,
     )
 
 

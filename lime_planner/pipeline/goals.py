@@ -13,6 +13,7 @@ from lime_planner.collision.joint_space import measure as arm_measure
 from lime_planner.collision.self_contact import SELF_CLEARANCE_M
 from lime_planner.core.status import Status
 from lime_planner.core.types import Array, Int64
+from lime_planner.motion.contract import POSITION_TOLERANCE_RAD
 from lime_planner.pipeline.obstacles import Obstacles
 from lime_planner.robot.ik import solve_ik
 
@@ -90,9 +91,11 @@ def measure(space: ArmSpace, q: Array) -> tuple[float, float, float]:
 def examine_start(obstacles: Obstacles, checker: ExactChecker, q_start: Array) -> tuple[Status, str] | None:
     """Return the reason why the arm cannot start where it stands, or None.
 
-    A start inside the stem margin is no reason; a start that touches a stem by its exact meshes is.
+    A start inside the stem margin is no reason; a start that touches a stem by its exact meshes is. A start a little beyond a joint
+    limit (`start_limit_tolerance_rad`) is led back inside.
     """
-    sentence = obstacles.robot.limit_violation(q_start, tolerance_rad=1e-3)
+    tolerance_rad = obstacles.settings.start_limit_tolerance_rad + POSITION_TOLERANCE_RAD
+    sentence = obstacles.robot.limit_violation(q_start, tolerance_rad=tolerance_rad)
     if sentence is not None:
         return Status.START_INVALID, sentence
     hit = checker.stem_hit(q_start)

@@ -83,20 +83,24 @@ class Obstacles:
         """The same with another margin."""
         return dataclasses.replace(self, world=self.world._replace(margin=margin_m))
 
-    def exact_checker(self) -> ExactChecker:
-        """An exact checker of the same obstacles."""
+    def exact_checker(self, should_stop: Callable[[], bool] = never) -> ExactChecker:
+        """An exact checker of the same obstacles; may raise `Refusal` with CANCELLED."""
         world = self.world
-        return _exact_checker(self.robot, self.hard, self.leaves, world.exclusion, world.zone, self.settings, world.stem_radius)
+        return _exact_checker(
+            self.robot, self.hard, self.leaves, world.exclusion, world.zone, self.settings, world.stem_radius, should_stop
+        )
 
 
-def stem_checker(robot: Robot, scene: Scene, spot: Spot | None, settings: Settings) -> ExactChecker:
+def stem_checker(
+    robot: Robot, scene: Scene, spot: Spot | None, settings: Settings, should_stop: Callable[[], bool] = never
+) -> ExactChecker:
     """An exact checker of everything hard in a scene, without leaves and without the fields that a search needs: made in no time.
 
     Args:
-        robot, scene, spot, settings: see `prepare`; the leaf policy does not count.
+        robot, scene, spot, settings, should_stop: see `prepare`; the leaf policy does not count.
     """
     hard, none = _hard_points(robot, scene, spot, settings), np.zeros((0, 3), np.float32)
-    return _exact_checker(robot, hard, none, *exclusion(spot, settings), settings, _stem_radius_m(scene, settings))
+    return _exact_checker(robot, hard, none, *exclusion(spot, settings), settings, _stem_radius_m(scene, settings), should_stop)
 
 
 def _stem_radius_m(scene: Scene, settings: Settings) -> float:
@@ -111,7 +115,14 @@ def _hard_points(robot: Robot, scene: Scene, spot: Spot | None, settings: Settin
 
 
 def _exact_checker(
-    robot: Robot, hard: Float32, leaves: Float32, hidden: Array, zone_m: float, s: Settings, stem_radius_m: float
+    robot: Robot,
+    hard: Float32,
+    leaves: Float32,
+    hidden: Array,
+    zone_m: float,
+    s: Settings,
+    stem_radius_m: float,
+    should_stop: Callable[[], bool],
 ) -> ExactChecker:
     boxes = np.array(s.keep_out_boxes, dtype=np.float64).reshape(-1, 6)
     return ExactChecker(
@@ -127,6 +138,7 @@ def _exact_checker(
         exclusion_radius_m=float(hidden[3]),
         exclusion_heights_m=(float(hidden[4]), float(hidden[5])),
         approach_zone_m=zone_m,
+        should_stop=should_stop,
     )
 
 

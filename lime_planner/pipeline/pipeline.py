@@ -155,7 +155,12 @@ class Pipeline:
 
         try:
             obstacles, checker, goals = self._goals(scene, aim, q, settings, seed, clock, counts, figures, ended)
-            path, straight_from, T = self._path(obstacles, checker, q, goals, settings, seed, clock, counts, ended, deadline_s, iterations)
+            inside = np.clip(q, self.robot.lower, self.robot.upper)
+            path, straight_from, T = self._path(
+                obstacles, checker, inside, goals, settings, seed, clock, counts, ended, deadline_s, iterations
+            )
+            if not self.robot.within_limits(q):  # led back inside first
+                path, straight_from = np.vstack([q, path]), straight_from + 1
             figures |= {"T_base_tool": T, "straight_from": straight_from}
             figures |= path_figures(obstacles, path, T, straight_from)
             clock.lap("figures")
@@ -191,14 +196,15 @@ class Pipeline:
         should_stop: Callable[[], bool],
     ) -> tuple[Obstacles, ExactChecker, Goals]:
         obstacles = self.obstacles(scene, aim.spot(scene, settings), settings, should_stop)
-        checker = obstacles.exact_checker()
+        checker = obstacles.exact_checker(should_stop)
         counts |= obstacles.counts
         clock.lap("fields")
         ask(should_stop)
         reason = examine_start(obstacles, checker, q)
         if reason is not None:
             raise Refusal(*reason)
-        goals = goals_of(obstacles, checker, aim, q, np.random.default_rng(seed), should_stop)
+        inside = np.clip(q, self.robot.lower, self.robot.upper)
+        goals = goals_of(obstacles, checker, aim, inside, np.random.default_rng(seed), should_stop)
         counts |= {"ik_solutions": goals.found, "goals": len(goals.configurations)}
         figures |= {"grasps_tried": goals.tried, "grasps_free": goals.free}
         if goals.approaches is not None:
@@ -351,7 +357,11 @@ class Pipeline:
             The contact in words; None if there is none, or if the look was ended before it found one.
         """
         spot = self._spot_of(result, scene, settings)
-        return recheck.obstruction(lambda: stem_checker(self.robot, scene, spot, settings), result.trajectory, from_time_s, should_stop)
+
+        def checker() -> ExactChecker:
+            return stem_checker(self.robot, scene, spot, settings, should_stop)
+
+        return recheck.obstruction(checker, result.trajectory, from_time_s, should_stop)
 
     def _spot_of(self, result: PlanResult, scene: Scene, settings: Settings) -> Spot | None:
         """The place of a result's target in a scene; the hand that goes back holds its fruit."""

@@ -14,6 +14,7 @@ from lime_planner.core.parameters import Settings
 from lime_planner.core.status import Status
 from lime_planner.core.types import Array
 from lime_planner.core.validation import floats
+from lime_planner.motion.contract import POSITION_TOLERANCE_RAD
 from lime_planner.motion.trajectory import Trajectory
 from lime_planner.pipeline.certify import CERTIFIED_STEP_RAD, contract_violations, hit_of, timed_motion
 from lime_planner.pipeline.context import Clock, never
@@ -49,7 +50,12 @@ def follow(
         world = obstacles()
         if path.shape[1] != world.robot.n:
             raise ProblemError(f"a path's waypoints need {world.robot.n} joint angles each, got {path.shape[1]}")
-        checker = world.exact_checker()
+        beyond = world.robot.limit_violation(path[0], tolerance_rad=settings.start_limit_tolerance_rad + POSITION_TOLERANCE_RAD)
+        if beyond is not None:
+            raise Refusal(Status.START_INVALID, beyond)
+        # A way back may end where a start was beyond a limit.
+        path = np.vstack([path[:1], np.clip(path[1:], world.robot.lower, world.robot.upper)])
+        checker = world.exact_checker(should_stop)
         clock.lap("fields")
         hit = hit_of(checker, sample_path(path, CERTIFIED_STEP_RAD)[0], should_stop)
         clock.lap("certificate")
@@ -89,7 +95,7 @@ def recheck(
         broken = contract_violations(world.robot, trajectory, q_measured, settings)
         if broken:
             return Status.PATH_INVALID, "; ".join(broken)
-        hit = hit_of(world.exact_checker(), trajectory.configurations(CERTIFIED_STEP_RAD), should_stop)
+        hit = hit_of(world.exact_checker(should_stop), trajectory.configurations(CERTIFIED_STEP_RAD), should_stop)
     except Refusal as refusal:
         return refusal.status, str(refusal)
     if hit is not None:

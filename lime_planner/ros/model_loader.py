@@ -8,6 +8,8 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
+from lime_planner.collision.link_shapes import build_shapes
+from lime_planner.core.elsewhere import call_elsewhere
 from lime_planner.core.errors import LimePlannerError, Refusal
 from lime_planner.core.parameters import Settings
 from lime_planner.core.status import Status
@@ -44,11 +46,21 @@ def build(settings: Settings, urdf: str | None) -> Loaded:
         RobotError: the description cannot be used.
     """
     joint_names, planning_frame, tool_frame = settings.arm_joints or None, settings.planning_frame or None, settings.tool_frame or None
+    # Reading meshes, finding collision pairs and measuring links hold the interpreter for seconds; a stop must not wait for that.
+    robot = call_elsewhere(_read_robot, settings.robot, urdf, joint_names, planning_frame, tool_frame)
+    return Loaded(robot, Pipeline(robot))
+
+
+def _read_robot(
+    name: str, urdf: str | None, joint_names: tuple[str, ...] | None, planning_frame: str | None, tool_frame: str | None
+) -> Robot:
+    """Read a robot, and leave its shapes in the cache, from where `Pipeline` takes them."""
     if urdf is None:
-        robot = load_robot(settings.robot, joint_names=joint_names, planning_frame=planning_frame, tool_frame=tool_frame)
+        robot = load_robot(name, joint_names=joint_names, planning_frame=planning_frame, tool_frame=tool_frame)
     else:
         robot = robot_from_urdf(urdf, joint_names=joint_names, planning_frame=planning_frame, tool_frame=tool_frame)
-    return Loaded(robot, Pipeline(robot))
+    build_shapes(robot)
+    return robot
 
 
 class ModelLoader(BackgroundThread):

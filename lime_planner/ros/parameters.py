@@ -50,7 +50,10 @@ def snapshot_from(values: Mapping[str, Any]) -> Snapshot:
     fruit = fruit_in_force(node.leaf_labels, node.stem_labels, node.fruit_labels, node.ignored_labels, node.class_costs)
     if node.label_field in ("", *point_cloud2.XYZ, point_cloud2.COST_FIELD):
         raise ParameterError(f"label_field is {node.label_field!r}; it must name a field that holds nothing but the class")
-    return Snapshot(settings_from(checked), dataclasses.replace(node, fruit_labels=fruit))
+    plan = settings_from(checked)
+    # Where a motion may end, the next one must be able to begin.
+    tolerance_rad = max(plan.start_limit_tolerance_rad, 1.5 * node.goal_tolerance_rad)
+    return Snapshot(dataclasses.replace(plan, start_limit_tolerance_rad=tolerance_rad), dataclasses.replace(node, fruit_labels=fruit))
 
 
 class NodeParameters:

@@ -201,8 +201,8 @@ def test_the_way_out_is_that_of_the_last_real_motions() -> None:
     assert out_of(gone(there, correction, again), [1.0, 1.0])[-1] == [0.0, 0.0]
     onwards = [[1.0, 1.0], [2.0, 1.0]]
     assert out_of(gone(there, onwards), [2.0, 1.0]) == [[2.0, 1.0], [1.0, 1.0]], "a real motion from where the last one ended"
-    stopped_on_the_way = [[1.0, 0.3], [1.5, 0.3]]
-    assert out_of(gone(there, stopped_on_the_way), [1.5, 0.3]) == [[1.5, 0.3], [1.0, 0.3], [1.0, 0.0], [0.0, 0.0]]
+    corrected_on_the_way = [[1.0, 0.3], [1.03, 0.3]]
+    assert out_of(gone(there, corrected_on_the_way), [1.03, 0.3]) == [[1.03, 0.3], [1.0, 0.3], [1.0, 0.0], [0.0, 0.0]]
     back_at_the_beginning = [[0.001, 0.0], [0.0, 1.0]]
     assert out_of(gone(there, back_at_the_beginning), [0.0, 1.0])[-1] == [0.001, 0.0]
     led_by_hand = [[3.0, 3.0], [3.02, 3.0]]

@@ -40,10 +40,9 @@ class Path:
 
 
 class WayOut:
-    """The path that leads out again: that of the last motion, with what belongs to it.
+    """The path that leads out again: that of the last real motion, with the corrections that came after it.
 
-    A motion that goes on where one was cut short belongs to it, and so does a correction at its end: neither of them begins where the
-    arm came from. Retreats are no part of it; one that was cut short is gone on with along the same path.
+    A retreat is no part of it; one that was cut short is gone on with along the same path.
     """
 
     def __init__(self) -> None:
@@ -66,9 +65,7 @@ class WayOut:
             before = nearest_turns(self.path.waypoints, begun, continuous)
             index, distance = nearest_on_path(before, begun)
             on_path = distance <= OFF_PATH_RAD and np.abs(begun - before[0]).max() > ARRIVED_RAD
-            cut_short = np.abs(begun - before[-1]).max() > CORRECTION_RAD
-            correction = np.abs(path.waypoints - begun).max() <= CORRECTION_RAD
-            if on_path and (cut_short or correction):
+            if on_path and np.abs(path.waypoints - begun).max() <= CORRECTION_RAD:
                 path = replace(path, waypoints=np.concatenate([before[: index + 1], path.waypoints]))
         self.path = path
 

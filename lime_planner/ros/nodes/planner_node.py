@@ -172,6 +172,7 @@ class PlannerNode(Node):
         message = ended.status.message(ended.sentence)
         self.board.show(motion.plan_id, Phase.DONE, execution_code=ended.status.name, execution_message=message)
         self.get_logger().info(f"motion of plan {motion.plan_id}: {message}")
+        self.request_services.ended(ended)
         if self.viewer is not None:
             self.viewer.backend.on_end(message)
         aborted = ended.status in (Status.EXECUTION_DEVIATED, Status.STEM_APPEARED)

@@ -323,7 +323,7 @@ class Requests:
             self._execution.way_out.went(path, loaded.robot.continuous)
         if self._source.newest_stem_number() != number:
             self._watch.notice()
-        return _answer_of(result)
+        return dataclasses.replace(_answer_of(result), moves=True)
 
     def _stay(self, ticket: Ticket, result: PlanResult) -> Answer:
         """Answer for a plan that leads nowhere: the arm rests at its end already, which is as good as a motion that ended there."""

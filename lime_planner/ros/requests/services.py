@@ -16,6 +16,7 @@ from std_srvs.srv import Trigger
 from lime_planner.core.status import Status
 from lime_planner.ros import qos
 from lime_planner.ros.convert import to_path
+from lime_planner.ros.execution.motion import Ended
 from lime_planner.ros.requests.jobs import Requests
 from lime_planner.ros.requests.parts import NodeParts
 from lime_planner.ros.requests.request_text import about, answer_message, log_line, target_values
@@ -28,7 +29,7 @@ _LEAVING_S = 0.03
 
 
 class Services:
-    """`~/plan`, `~/preview`, `~/preview_to`, `~/execute`, `~/retreat` and `~/stop`."""
+    """`~/plan`, `~/plan_and_wait`, `~/preview`, `~/preview_to`, `~/execute`, `~/retreat` and `~/stop`."""
 
     def __init__(self, parts: NodeParts, requests: Requests, log: Callable[[Severity, str], None]) -> None:
         """Open the services.
@@ -47,10 +48,12 @@ class Services:
         self._requests = requests
         self._log = log
         self._waiting = 0
+        self._ends: dict[int, Future] = {}  # of motions that a caller waits for, by their request
         # Reentrant: an unanswered request must not hold back the next one.
         options = {"qos_profile": qos.SERVICE, "callback_group": ReentrantCallbackGroup()}
         for name in ("plan", "preview", "execute", "retreat"):
             node.create_service(Trigger, f"~/{name}", partial(self._trigger, name, getattr(requests, name)), **options)
+        node.create_service(Trigger, "~/plan_and_wait", self._plan_and_wait, **options)
         node.create_service(GetPlan, "~/preview_to", self._preview_to, **options)
         node.create_service(Trigger, "~/stop", self._stop, **options)
 
@@ -66,6 +69,34 @@ class Services:
             self._log(severity_of(answer.status), log_line(ticket, answer))
         except Exception:  # the answer itself must get through
             self._log(Severity.ERROR, traceback.format_exc())
+
+    def ended(self, ended: Ended) -> None:
+        """Take in that a motion has ended; from whichever thread notices."""
+        future = self._ends.get(ended.motion.plan_id)
+        if future is not None and not future.done():
+            future.set_result(Answer(ended.status, ended.sentence))
+            self._wake()
+
+    async def _plan_and_wait(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        """Plan, send, and answer when the arm rests: with the plan's code where nothing was sent, else with the motion's."""
+        end, sent_as = Future(), [0]
+
+        def job(ticket: Ticket) -> Answer:
+            sent_as[0] = ticket.plan_id
+            self._ends[ticket.plan_id] = end  # before the motion is sent: it may be over before its request is answered
+            return self._requests.plan(ticket)
+
+        self._waiting += 1
+        try:
+            ticket, answer = await self._ask("plan", job, self._requests.aim("plan"))
+            if answer.status is Status.SUCCEEDED and answer.moves:
+                answer = await end
+        finally:
+            self._waiting -= 1
+            self._ends.pop(sent_as[0], None)
+        response.success = bool(answer.status is Status.SUCCEEDED)
+        response.message = answer_message(ticket, answer)
+        return response
 
     async def _trigger(
         self, kind: str, job: Callable[[Ticket], Answer], _request: Trigger.Request, response: Trigger.Response
@@ -89,9 +120,7 @@ class Services:
         def on_answer(ticket: Ticket, answer: Answer) -> None:
             self.finish(ticket, answer)
             future.set_result((ticket, answer))
-            executor = self._node.executor
-            if executor is not None:
-                executor.wake()  # it looks at waiting coroutines whenever it wakes
+            self._wake()
 
         self._waiting += 1
         try:
@@ -101,8 +130,17 @@ class Services:
             self._waiting -= 1
         return result
 
+    def _wake(self) -> None:
+        executor = self._node.executor
+        if executor is not None:
+            executor.wake()  # it looks at waiting coroutines whenever it wakes
+
     def drain(self, timeout_s: float) -> None:
         """Give answers that are made the time to leave, while the executor still spins."""
+        for end in list(self._ends.values()):
+            if not end.done():
+                end.set_result(Answer(Status.CANCELLED, "the planner node shuts down"))
+        self._wake()
         deadline = time.monotonic() + timeout_s
         while self._waiting and time.monotonic() < deadline:
             time.sleep(0.005)

@@ -29,11 +29,19 @@ Left = Callable[[], float | None]
 
 @dataclass(frozen=True)
 class Answer:
-    """What a request ended with: a code, one sentence, and the plan's tool path, (K, 7) x y z qx qy qz qw, where there is one."""
+    """What a request ended with.
+
+    Attributes:
+        status: its code.
+        sentence: one sentence.
+        tool_path: the plan's, (K, 7) x y z qx qy qz qw, where there is one.
+        moves: whether a motion was sent.
+    """
 
     status: Status
     sentence: str
     tool_path: Array | None = None
+    moves: bool = False
 
     @property
     def message(self) -> str:
