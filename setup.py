@@ -14,7 +14,7 @@ MANIFEST = ET.parse(HERE / "package.xml").getroot()
 INSTALL_REQUIRES = [
     "numpy>=1.26",
     "scipy>=1.11",
-    "numba>=0.60",
+    "numba>=0.58",
     "PyYAML>=6.0",
     "pin>=3.3",  # Pinocchio, which reads URDFs, with Coal, which reads meshes
     "example-robot-data>=4.3",  # the Kinova j2s6s200's URDF and meshes
@@ -24,7 +24,7 @@ INSTALL_REQUIRES = [
     # Point clouds. The CPU build is a quarter of the download; it exists for Linux on x86-64 only.
     "open3d-cpu>=0.18; sys_platform == 'linux' and platform_machine == 'x86_64'",
     "open3d>=0.18; sys_platform != 'linux' or platform_machine != 'x86_64'",
-    "matplotlib>=3.8",
+    "matplotlib>=3.6",
     "rich>=13.0",
     "packaging>=23.0",  # `lime-planner doctor` reads this list
 ]

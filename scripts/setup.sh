@@ -170,8 +170,8 @@ install() {
     "Then run this again: what was downloaded is kept in pip's cache."
 }
 case $group in
-  test) size="about 0.7 GB to download, 2.6 GB on disk" ;;
-  *) size="about 0.5 GB to download, 1.9 GB on disk" ;;
+  test) size="about 0.7 GB to download, 2.8 GB on disk" ;;
+  *) size="about 0.5 GB to download, 2.1 GB on disk" ;;
 esac
 if [[ $ros == wheels ]]; then
   unset PYTHONPATH

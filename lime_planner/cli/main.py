@@ -90,7 +90,7 @@ _UNWRITABLE = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EBADF)
 
 _EXAMPLES = """\
 examples:
-  lime-planner scene plant --seed 3 --out plant.npz
+  lime-planner scene plant --seed 2 --out plant.npz
   lime-planner plan plant.npz --picture plan.png
   lime-planner plan scan.ply --offset 0.55 0 0.05 \\
       --target 0.5 0.1 0.4 0 0.7071 0 0.7071

@@ -19,7 +19,7 @@ The file holds points, labels (0 leaf, 1 stem, 2 lime), a grasp pose at the lime
 that is best hidden among leaves, and as ground truth the leaves' triangles.
 
 examples:
-  lime-planner scene plant --seed 3 --out plant.npz
+  lime-planner scene plant --seed 2 --out plant.npz
   lime-planner scene plant --density dense --height 1.2 --out plant.npz
 """
 

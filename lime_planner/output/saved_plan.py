@@ -135,7 +135,7 @@ def read_plan(path: Path) -> SavedPlan:
     try:
         figures = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
-        raise ParameterError(f"{path}: cannot be read as a plan ({getattr(error, 'strerror', None) or error})") from None
+        raise ParameterError(f"{path}: cannot be read as a plan ({getattr(error, 'strerror', None) or 'it holds no JSON'})") from None
     needed = ("status", "message", "planner", "seed", "waypoints")
     missing = [name for name in needed if not isinstance(figures, dict) or name not in figures]
     if missing:

@@ -10,6 +10,7 @@ are refused: a scene file cannot run code.
 from __future__ import annotations
 
 import os
+import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -90,7 +91,7 @@ def load_start(path: str | os.PathLike[str]) -> Start | None:
                 return None
             q, names = np.asarray(archive["start"], dtype=np.float64), tuple(map(str, archive["start_joints"]))
     except Exception as error:  # as in `_read_npz`
-        raise SceneError(f"{path}: its start cannot be read ({type(error).__name__}: {error})") from error
+        raise SceneError(f"{path}: its start cannot be read ({_why_unreadable(path, error)})") from error
     if q.shape != (len(names),) or not np.isfinite(q).all():
         raise SceneError(f"{path}: start has shape {q.shape}, expected ({len(names)},) finite angles, one for each of start_joints")
     return Start(names, q)
@@ -121,6 +122,15 @@ def write_members(path: str | os.PathLike[str], members: Mapping[str, Any], star
         raise SceneError(f"{path}: cannot be written ({error.strerror or error})") from error
 
 
+def _why_unreadable(path: Path, error: Exception) -> str:
+    """Return why NumPy could not read an archive; its own words advise to load it unsafely."""
+    if isinstance(error, OSError) and error.strerror:
+        return error.strerror
+    if not zipfile.is_zipfile(path):
+        return "it is no zip archive, or its end is missing" if path.stat().st_size else "it is empty"
+    return "an array in it holds Python objects" if "Object arrays" in str(error) else "an array in it is damaged"
+
+
 def _read_npz(path: Path) -> Members:
     members: Members = {}
     try:
@@ -131,10 +141,15 @@ def _read_npz(path: Path) -> Members:
             for name in ("points", "labels", "frame_id", *_OPTIONAL, *_DISPLACEMENTS):
                 if name in archive.files:
                     members[name] = archive[name]
+                    if not isinstance(members[name], np.ndarray):  # a member that does not begin as an array comes as its bytes
+                        raise SceneError(f"{path}: {name} is no array")
+            points = members["points"]
+            if points.dtype.kind in "fiu" and (points.ndim != 2 or points.shape[1] != 3):
+                raise SceneError(f"{path}: points: shape {points.shape}, expected (N, 3)")
     except SceneError:
         raise
     except Exception as error:  # a damaged file makes zipfile, zlib, tokenize and NumPy raise a dozen kinds
-        raise SceneError(f"{path}: is not a readable .npz file ({type(error).__name__}: {_one_line(str(error))})") from error
+        raise SceneError(f"{path}: is not a readable .npz file ({_why_unreadable(path, error)})") from error
     return members
 
 
