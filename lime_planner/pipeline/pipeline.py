@@ -374,6 +374,6 @@ class Pipeline:
 def _approach(figures: dict[str, Any], settings: Settings) -> str:
     """Say how much of the last stretch is straight, where that is less than wanted."""
     straight_m = figures["straight_approach_m"]
-    if straight_m >= settings.approach_distance_m - 1e-3:
+    if straight_m >= min(settings.approach_distance_m, figures["tool_path_length_m"]) - 1e-3:
         return ""
     return f"; only the last {100.0 * straight_m:.0f} cm of {100.0 * settings.approach_distance_m:.0f} are straight"

@@ -13,8 +13,9 @@ from lime_planner.core.errors import ProblemError
 from lime_planner.core.geometry import pose_to_matrix
 from lime_planner.core.status import Status
 from lime_planner.pipeline import PlanResult
+from lime_planner.pipeline import certify as follow
 from lime_planner.pipeline import pipeline as core
-from lime_planner.pipeline import recheck as follow
+from lime_planner.pipeline.goals import find_goals
 from lime_planner.robot.ik import solve_ik
 from lime_planner.robot.model import home
 from lime_planner.scene.scene import Scene
@@ -222,9 +223,14 @@ def test_a_path_that_the_exact_check_refuses(monkeypatch: pytest.MonkeyPatch) ->
     search = core.search
     monkeypatch.setattr(core, "search", lambda obstacles, *a, **k: margins.append(obstacles.world.margin) or search(obstacles, *a, **k))
     monkeypatch.setattr(core, "hit_of", lambda *_: "j2s6s200_link_6 touches the stem point (0.1, 0.2, 0.3) at sample 3 of 9")
-    refused(plan(scene_of(FAR), goal(0.5)), Status.PATH_INVALID, "the exact check refuses the path", "link_6", "sample 3 of 9")
+    directly = {"approach_distance_m": 0.0}
+    refused(plan(scene_of(FAR), goal(0.5), **directly), Status.PATH_INVALID, "the exact check refuses the path", "link_6", "sample 3 of 9")
     assert len(margins) == 2 and margins[1] > margins[0]  # tried again, farther from the stems
     answers = iter(["touches", None])
+    monkeypatch.setattr(core, "hit_of", lambda *_: next(answers))
+    assert plan(scene_of(FAR), goal(0.5), **directly).status is Status.SUCCEEDED
+    # A goal whose straight stretch is refused is left out, and the next one taken.
+    answers = iter(["touches", None, None])
     monkeypatch.setattr(core, "hit_of", lambda *_: next(answers))
     assert plan(scene_of(FAR), goal(0.5)).status is Status.SUCCEEDED
 
@@ -251,7 +257,7 @@ def test_the_target_is_where_the_arm_stands() -> None:
 
 def test_scenes_with_nothing_in_them() -> None:
     for scene in (scene_of(), scene_of([[50.0, 0.0, 0.0]], [[40.0, 0.0, 0.0]]), scene_of([], [[0.0, 0.0, 1.5]])):
-        result = plan(scene, goal(0.5, 0.2))
+        result = plan(scene, goal(0.5, 0.2), approach_distance_m=0.0)
         assert result.status is Status.SUCCEEDED, result.message
         assert result.cost == pytest.approx(np.hypot(0.5, 0.2), rel=1e-4)  # straight
         assert result.leaf_contact_rad == 0.0 and result.min_stem_clearance_m == 0.5
@@ -288,7 +294,7 @@ def test_what_reaches_the_search_is_free(monkeypatch: pytest.MonkeyPatch) -> Non
     assert len(goals.configurations) >= 1
     for q in goals.configurations:
         assert checker.stem_hit(q) is None
-        np.testing.assert_allclose(robot_named().forward(q), pose_to_matrix(scene.target_pose), atol=1e-4)
+        np.testing.assert_allclose(robot_named().forward(goals.behind(q)[1][-1]), pose_to_matrix(scene.target_pose), atol=1e-4)
 
 
 def test_no_goal_that_clears_stems_is_lost() -> None:
@@ -303,7 +309,7 @@ def test_no_goal_that_clears_stems_is_lost() -> None:
         checker = obstacles.exact_checker()
         solutions = solve_ik(robot, T, home(robot), np.random.default_rng(1), starts=128).solutions
         clear = [s for s in solutions if checker.stem_hit(s) is None and checker.stem_distance(s) >= 0.003]
-        found = core.find_goals(obstacles, checker, T, home(robot), np.random.default_rng(1)).configurations
+        found = find_goals(obstacles, checker, T, home(robot), np.random.default_rng(1)).configurations
         lost = [s for s in clear if not (np.abs(found - s).max(axis=1) < 1e-4).any()] if len(found) else clear
         own = [s for s in lost if not self_is_tight(obstacles, s)]
         assert own == []

@@ -57,8 +57,9 @@ def goals_of(
 def _straightened(obstacles: Obstacles, T_base_tool: Array, q_start: Array, goals: Goals) -> Goals:
     """Let goals begin as far back on the straight way to an exact pose as is free: down to nothing, at a price for what is missing."""
     settings = obstacles.settings
-    if not settings.approach_distance_m > 0.0:
-        return goals
+    already_m = float(np.linalg.norm(obstacles.robot.forward(q_start)[:3, 3] - T_base_tool[:3, 3]))
+    if already_m <= settings.approach_distance_m:
+        return dataclasses.replace(goals, tried=1, free=1)  # from so near the arm need not back out first
     stretches, costs = follow_back(obstacles, T_base_tool, q_start, goals.configurations)
     begins = np.array([stretch[0] for stretch in stretches])
     order = np.argsort(costs + np.linalg.norm(begins - q_start, axis=1), kind="stable")
