@@ -14,6 +14,7 @@ import numpy.typing as npt
 from lime_planner.core.errors import ParameterError, ProblemError, SceneError
 from lime_planner.core.parameters import NODE_PARAMETERS, settings_from
 from lime_planner.core.types import Array
+from lime_planner.core.validation import floats
 from lime_planner.pipeline import Pipeline, PlanResult
 from lime_planner.pipeline.context import checked_deadline, checked_start, never
 from lime_planner.pipeline.scene_targets import fruit_targets, own_target, plan_first
@@ -109,8 +110,9 @@ def _targets(
     if candidates is not None:
         return [candidates_target(candidates)]
     if target is not None:
+        given = target if isinstance(target, Target) else floats("target", target)
         try:
-            return [target_of(target, freedom)]
+            return [target_of(given, freedom)]
         except ProblemError as error:
             raise ProblemError(f"target: {error}") from None
     own = own_target(scene, freedom, tool)

@@ -28,11 +28,16 @@ def result(robot: Robot) -> PlanResult:
 
 def test_a_plan_in_one_call(robot: Robot, result: PlanResult) -> None:
     assert result.succeeded and result.status is Status.SUCCEEDED, result.message
-    target = plant(15).target_pose
-    assert target is not None and result.T_base_tool == pytest.approx(pose_to_matrix(target))
-    assert result.q_start == pytest.approx(robot.home)
-    again = plan(plant(15), robot, target=pose_to_matrix(target), start=robot.home, seed=2, iterations=400)
+    pose = plant(15).target_pose
+    assert pose is not None and result.target is not None and result.target.kind == "fruit" and result.T_base_tool is not None
+    assert result.T_base_tool[:3, 3] == pytest.approx(pose[:3], abs=1e-3)  # at the lime, from wherever is best
+    again = plan(plant(15), robot, target=result.target, start=robot.home, seed=2, iterations=400)
     assert np.array_equal(again.waypoints, result.waypoints)
+    assert result.q_start == pytest.approx(robot.home)
+    exact = plan(plant(15), robot, target=pose_to_matrix(pose), seed=2, iterations=400)
+    assert exact.T_base_tool == pytest.approx(pose_to_matrix(pose))
+    one_of = plan(plant(15), robot, candidates=result.T_base_tool[None], seed=2, iterations=400)
+    assert one_of.succeeded and one_of.grasps_tried == 1 and one_of.T_base_tool == pytest.approx(result.T_base_tool)
     assert _warm_pipeline(robot)[0] is _warm_pipeline(robot)[0]
 
 
@@ -78,8 +83,14 @@ def test_callers_mistakes_are_named(robot: Robot) -> None:
         plan(scene, robot, motion_enabled=True)
     with pytest.raises(ParameterError, match="tool_frame: the robot is loaded already"):
         plan(scene, robot, tool_frame="hand")
-    with pytest.raises(ProblemError, match="a pose needs 7 numbers"):
-        plan(scene, robot, target=[0.5, 0.0, 0.5])
+    with pytest.raises(ProblemError, match="7 numbers x y z qx qy qz qw"):
+        plan(scene, robot, target=[0.5, 0.0, 0.5, 0.0])
+    with pytest.raises(ProblemError, match="give one of them"):
+        plan(scene, robot, fruit=0, candidates=[scene.target_pose])
+    with pytest.raises(ProblemError, match="fruit 99 is not there"):
+        plan(scene, robot, fruit=99)
+    with pytest.raises(ProblemError, match="empty list"):
+        plan(scene, robot, candidates=[])
     for arguments, words in (
         ({"target": "abc"}, "target must be numbers, got 'abc'"),
         ({"target": np.full((4, 4), np.nan)}, "target: the target needs a finite 4 x 4 pose"),

@@ -178,6 +178,8 @@ def target_of(value: Target | npt.ArrayLike, freedom: str = "exact") -> Target:
     if isinstance(value, Target):
         return value
     values = floats("the target", value)
+    if values.ndim == 1 and values.shape not in ((3,), (7,)):
+        raise ProblemError(f"a target needs 3 numbers x y z (a fruit) or 7 numbers x y z qx qy qz qw (a pose), got {len(values)}")
     return fruit_target(values) if values.shape == (3,) else pose_target(values, freedom)
 
 

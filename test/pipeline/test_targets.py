@@ -38,6 +38,7 @@ def candidates(count: int, **changed: Any) -> np.ndarray:
         (lambda: fruit_target([0.5, 0.0, 0.5], 0.5), "radius is 0.5"),
         (lambda: pose_target(POSE, "any"), "freedom is 'any'.*exact, roll, cone"),
         (lambda: pose_target(POSE[:5]), "4 x 4"),
+        (lambda: target_of(POSE[:5]), "3 numbers x y z .a fruit. or 7 numbers"),
         (lambda: target_of("there"), "numbers"),
     ],
 )
