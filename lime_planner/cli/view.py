@@ -105,7 +105,7 @@ def _backend(args: argparse.Namespace) -> SceneBackend:
             "scene": plan.load_scene(args.scene),
             "saved": plan.result,
             "q_start": plan.q_start if start is None else start,
-            "target": plan.target if args.target is None else options["target"],
+            "target": (plan.asked or plan.target) if args.target is None else options["target"],
             "title": args.what.name,
         }
     elif args.what is not None:

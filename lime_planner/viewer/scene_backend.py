@@ -284,7 +284,8 @@ class SceneBackend:
             self._message = "compiling the planner (a minute the first time, seconds later)"
         result = None if saved is None else saved(robot)
         if result is not None:
-            self._show(self._scene, self._target, self._settings, result)
+            grasp = self._target if result.T_base_tool is None else matrix_to_pose(result.T_base_tool)
+            self._show(self._scene, grasp, self._settings, result)
         stopping.warm_up()
         pipeline.warm_up()
         with self._lock:
