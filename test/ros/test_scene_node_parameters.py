@@ -13,7 +13,7 @@ def test_parameters_that_do_nothing_are_named() -> None:
         "label_field is not used: it names a field of PLY and PCD files",
         "there is no parameter 'rate', its value is ignored; did you mean rate_hz?",
         "there is no parameter 'leaf_labels', its value is ignored; "
-        "there are file, label_field, scale, offset, seed, density, target, labelled, rate_hz, reliable",
+        "there are file, label_field, scale, offset, seed, density, target, approach, labelled, rate_hz, reliable",
     ]
     assert unused(["density", "seed"], {"file": ""}) == []
     assert unused(["label_field"], {"file": "scan.PLY"}) == []

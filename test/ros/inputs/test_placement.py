@@ -58,7 +58,7 @@ class Rig:
         return float(self.source.scene(self.snapshot, never).stem_points[0, 0])
 
     def goal_x(self) -> float:
-        return float(self.source.goal(self.inputs.target(0.0, 0.0), self.snapshot, never)[0, 3])
+        return float(self.source.goal(self.inputs.target(0.0, 0.0), self.snapshot, never).centre[0])
 
 
 @pytest.mark.parametrize("frame", ["map", "base", "camera", "gripper"])
