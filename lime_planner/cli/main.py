@@ -49,6 +49,7 @@ COMMANDS = (
     Command(("demo",), "lime_planner.ros.demo.demo", "scene, arm and planner as ROS nodes; a simulated arm carries the plan out"),
     Command(("scene", "plant"), "lime_planner.cli.scene:plant", "grow a lime plant from a seed"),
     Command(("scene", "tomatowur"), "lime_planner.cli.scene:tomatowur", "obtain public scans of real tomato plants"),
+    Command(("scene", "see"), "lime_planner.cli.scene:see", "keep of a scene what depth cameras see of it"),
     Command(("scene", "info"), "lime_planner.cli.scene:info", "say what a scene file holds"),
     Command(("record",), "lime_planner.cli.record", "a scene and a start, from live topics or a recording, into a file"),
     Command(("doctor",), "lime_planner.cli.doctor", "check the installation, ROS 2, the arm and the clouds"),

@@ -1,4 +1,4 @@
-"""`lime-planner scene plant|tomatowur|info`: make, obtain and inspect scenes."""
+"""`lime-planner scene plant|tomatowur|see|info`: make, obtain, look at and inspect scenes."""
 
 from __future__ import annotations
 
@@ -33,6 +33,15 @@ examples:
       --target 0.45 0.05 0.4 0 0.7071 0 0.7071
 """
 
+_SEE_EPILOG = """\
+A camera sees a third of a plant's stems: this tells what a plan knows of it then.
+Each point keeps its viewpoint; points that no camera sees are left out.
+
+examples:
+  lime-planner scene see plant.npz --from -0.1 0 0.6 --out seen.npz
+  lime-planner scene see plant.npz --from 0.2 0.7 0.6 --from 0.2 -0.7 0.6 \\
+      --out two_views.npz
+"""
 
 _INFO_EPILOG = """\
 examples:
@@ -119,6 +128,68 @@ def run_tomatowur(args: argparse.Namespace) -> int:
     for scan in obtained.scans:
         print(scan)
     console().print(f"\n{obtained.summary}\nLicence: {obtained.licence}", soft_wrap=False)
+    return 0
+
+
+def add_see_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments of `scene see`."""
+    from lime_planner.cli.json_output import add_json
+
+    parser.epilog = _SEE_EPILOG
+    parser.add_argument("scene", metavar="SCENE", type=Path, help="scene file: .npz, .ply or .pcd")
+    where = "place of a depth camera [m]; repeatable"
+    parser.add_argument(
+        "--from", nargs=3, type=float, action="append", required=True, metavar=("X", "Y", "Z"), dest="viewpoints", help=where
+    )
+    parser.add_argument(
+        "--at", nargs=3, type=float, metavar=("X", "Y", "Z"), help="what the cameras look at [m] (default: the middle of the points)"
+    )
+    parser.add_argument("--field-of-view", type=float, default=69.0, metavar="DEG", help="horizontal angle of view [degrees] (default 69)")
+    radius = "radius of a point when it hides others: half the cloud's spacing or more [m] (default 0.004)"
+    parser.add_argument("--point-radius", type=float, default=0.004, metavar="M", help=radius)
+    parser.add_argument("--noise", type=float, default=0.0, metavar="M", help="noise of the depth at one metre [m] (default 0)")
+    parser.add_argument(
+        "--drop-out", type=float, default=0.0, metavar="SHARE", help="share of the points at depth edges that is missing (default 0)"
+    )
+    parser.add_argument("--seed", type=int, default=0, metavar="N", help="seed of noise and drop-outs (default 0)")
+    parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="scene file to write: .npz, .ply or .pcd")
+    add_json(parser, "how much of each class is seen")
+
+
+def run_see(args: argparse.Namespace) -> int:
+    """Write what the cameras see, and print how much of each class that is."""
+    import numpy as np
+
+    from lime_planner.cli.json_output import emit_json, is_stdout
+    from lime_planner.core.atomic_files import check_writable
+    from lime_planner.output.console import working
+    from lime_planner.scene.camera import Camera, seen_scene
+    from lime_planner.scene.scene import Scene
+
+    limits = {"field_of_view": (1.0, 170.0), "point_radius": (1e-4, 0.1), "noise": (0.0, 0.1), "drop_out": (0.0, 1.0), "seed": (0, 2**63)}
+    for name, (least, most) in limits.items():
+        value = getattr(args, name)
+        if not least <= value <= most:
+            raise ParameterError(f"--{name.replace('_', '-')} is {value:g}; it must lie between {least:g} and {most:g}")
+    for place in (*args.viewpoints, *([args.at] if args.at else [])):
+        if not np.isfinite(place).all():
+            raise ParameterError(f"{' '.join(map(str, place))} is no place: three finite numbers are needed")
+    check_writable(args.out)
+    camera = Camera(field_of_view_rad=float(np.radians(args.field_of_view)), edge_drop_out=args.drop_out, noise_m=args.noise)
+    with working("looking"):
+        scene = Scene.load(args.scene)
+        rng = np.random.default_rng(args.seed)
+        seen = seen_scene(scene, args.viewpoints, target=args.at, camera=camera, point_radius_m=args.point_radius, rng=rng)
+        seen.save(args.out)
+    classes = ("leaf", "stem", "fruit")
+    counts = {name: (len(getattr(seen, f"{name}_points")), len(getattr(scene, f"{name}_points"))) for name in classes}
+    if args.json is not None:
+        points = {name: {"seen": some, "of": all_} for name, (some, all_) in counts.items()}
+        emit_json(args.json, {"file": str(args.out), "views": len(args.viewpoints), "points": points})
+    if is_stdout(args.json):
+        return 0
+    shares = [f"{some} of {all_} {name} points ({100.0 * some / all_:.0f} %)" for name, (some, all_) in counts.items() if all_]
+    print(f"{args.out}: {len(args.viewpoints)} view{'s' if len(args.viewpoints) > 1 else ''}; {', '.join(shares)}")
     return 0
 
 

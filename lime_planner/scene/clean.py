@@ -61,7 +61,7 @@ def clean_scene(
         raise SceneError(f"voxel_m: {voxel_m} is outside 0.001 to 1")
     centre = np.asarray(base_position, dtype=np.float32)
     near = tuple(_within(points, centre, reach_m) for points in (scene.leaf_points, scene.stem_points, scene.fruit_points))
-    cropped = _subset(scene, *near, reason="cropped")
+    cropped = subset(scene, *near, reason="cropped")
 
     stem_kept, _, stem_moved = _thin_below(cropped.stem_points, max_stem_points, STEM_VOXELS_M)
     fruit_kept, _, fruit_moved = _thin_below(cropped.fruit_points, max_stem_points, STEM_VOXELS_M)
@@ -110,7 +110,7 @@ def remove_arm(scene: Scene, distance_to_arm: Callable[[Float32], npt.NDArray[np
     sizes = (len(scene.leaf_points), len(scene.stem_points), len(scene.fruit_points))
     distances = np.asarray(distance_to_arm(np.concatenate([scene.leaf_points, scene.stem_points, scene.fruit_points])))
     kept = np.split(distances >= padding_m, np.cumsum(sizes)[:2])
-    return _subset(scene, kept[0], kept[1], kept[2], reason="on_arm")
+    return subset(scene, kept[0], kept[1], kept[2], reason="on_arm")
 
 
 def _within(points: Float32, centre: Float32, reach_m: float) -> Bool:
@@ -120,7 +120,8 @@ def _within(points: Float32, centre: Float32, reach_m: float) -> Bool:
         return np.asarray(np.einsum("ij,ij->i", offset, offset) <= np.float32(reach_m) ** 2)
 
 
-def _subset(scene: Scene, leaf: Bool, stem: Bool, fruit: Bool, *, reason: str) -> Scene:
+def subset(scene: Scene, leaf: Bool, stem: Bool, fruit: Bool, *, reason: str) -> Scene:
+    """Return a scene of some of its points, (N,), (M,) and (K,) by class; the others are counted under `reason`."""
     counts = dict(scene.counts)
     _add(counts, reason, scene.n_points - int(leaf.sum()) - int(stem.sum()) - int(fruit.sum()))
     return dataclasses.replace(
