@@ -39,7 +39,7 @@ class Printed:
 def commands_in(text: str, where: str) -> Iterator[Printed]:
     """Yield the commands `lime-planner …` of a text: to the end of the line, of the code span, or of the command in the shell's sense."""
     joined = re.sub(r" *\\\n\s*", " ", text)
-    for match in re.finditer(r"(?:^|[`'(\s;&|])(?:\.venv/bin/)?lime-planner[ \t]+([^\n`]+)", joined):
+    for match in re.finditer(r"(?:^|[`'(\s;&|])(?:\.venv/bin/)?lime-planner[ \t]+(?=([^\n`]+))", joined):
         line = re.split(r"\s&&\s|\s\|\s|\s#|\s>|;|\)\s*$|\s{3,}|(?<=[a-z]): |, |\. |\.$|…| → | \(", match[1])[0].rstrip("'\").,:")
         with contextlib.suppress(ValueError):  # an odd quote: prose
             words = tuple(shlex.split(line))
