@@ -11,6 +11,7 @@ import os
 import pickle
 import subprocess
 import sys
+import tempfile
 import threading
 from collections.abc import Callable
 from typing import Any, TypeVar
@@ -44,14 +45,15 @@ def call_elsewhere(function: Callable[..., T], *arguments: Any, should_stop: Cal
         return function(*arguments)
     call = pickle.dumps(sys.path) + pickle.dumps((function.__module__, function.__qualname__)) + pickle.dumps(arguments, protocol=5)
     environment = {**os.environ, "OMP_NUM_THREADS": "1"}  # the callbacks want a core too
-    child = subprocess.Popen([sys.executable, "-c", _CHILD], stdin=-1, stdout=-1, stderr=-1, env=environment)
-    given: bytes | None = call
+    with tempfile.TemporaryFile() as given:  # not a pipe: what does not fit into one is not written any more after a time-out
+        given.write(call)
+        given.seek(0)
+        child = subprocess.Popen([sys.executable, "-c", _CHILD], stdin=given, stdout=-1, stderr=-1, env=environment)
     while True:
         try:
-            output, errors = child.communicate(given, timeout=_POLL_S)
+            output, errors = child.communicate(timeout=_POLL_S)
             break
         except subprocess.TimeoutExpired:
-            given = None  # what is left of it goes on being written
             if should_stop():
                 child.kill()
                 child.communicate()
