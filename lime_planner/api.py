@@ -15,6 +15,7 @@ from lime_planner.core.errors import ParameterError, ProblemError, SceneError
 from lime_planner.core.parameters import NODE_PARAMETERS, settings_from
 from lime_planner.core.types import Array
 from lime_planner.core.validation import floats
+from lime_planner.output.console import compile_first
 from lime_planner.pipeline import Pipeline, PlanResult
 from lime_planner.pipeline.context import checked_deadline, checked_start, never
 from lime_planner.pipeline.scene_targets import fruit_targets, own_target, plan_first
@@ -28,6 +29,7 @@ _ROBOTS_KEPT = 4
 
 @lru_cache(maxsize=_ROBOTS_KEPT)
 def _warm_pipeline(robot: Robot) -> tuple[Pipeline, threading.Lock]:
+    compile_first()
     pipeline = Pipeline(robot)
     pipeline.warm_up()  # compiling must not eat a plan's time budget
     return pipeline, threading.Lock()

@@ -117,7 +117,7 @@ def _around(space: ArmSpace, centres: Array, seed: int, count: int = 200) -> Arr
     rng, rows = np.random.default_rng(seed), []
     for _ in range(100 * count):
         q = centres[rng.integers(len(centres))] + rng.normal(0.0, 0.3, centres.shape[1])
-        if _check_rows(space, q[None], 1):
+        if _check_rows(space.handle(), q[None], 1):
             rows.append(q)
             if len(rows) == count:
                 break
@@ -127,11 +127,11 @@ def _around(space: ArmSpace, centres: Array, seed: int, count: int = 200) -> Arr
 def _check_time(space: ArmSpace, centres: Array, seed: int) -> float:
     """Median time of a full check around some configurations [s]."""
     rows = _around(space, centres, seed)
-    _check_rows(space, rows, 1)
+    _check_rows(space.handle(), rows, 1)
     began, spent = time.thread_time, []
     for _ in range(15):
         before_s = began()
-        _check_rows(space, rows, 5)
+        _check_rows(space.handle(), rows, 5)
         spent.append((began() - before_s) / (5 * max(len(rows), 1)))
     return float(np.median(spent))
 
@@ -198,7 +198,7 @@ def measure_joints(joints: int, seed: int) -> dict[str, Any]:
     rng, centre = np.random.default_rng([joints, seed]), scene.leaf_points.mean(axis=0)
     for _ in range(200_000):
         goal = rng.uniform(robot.lower, robot.upper)
-        if np.linalg.norm(robot.forward(goal)[:3, 3] - centre) < _CANOPY_M and _check_rows(space, goal[None], 1):
+        if np.linalg.norm(robot.forward(goal)[:3, 3] - centre) < _CANOPY_M and _check_rows(space.handle(), goal[None], 1):
             break
     else:
         raise ProblemError(f"an arm of {joints} joints finds no place in the canopy that is free of stems")

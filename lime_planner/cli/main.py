@@ -54,6 +54,7 @@ COMMANDS = (
     Command(("record",), "lime_planner.cli.record", "a scene and a start, from live topics or a recording, into a file"),
     Command(("doctor",), "lime_planner.cli.doctor", "check the installation, ROS 2, the arm and the clouds"),
     Command(("parameters",), "lime_planner.cli.parameters", "list every parameter that --set and the node understand"),
+    Command(("compile",), "lime_planner.cli.compile", "compile everything, so that the first plan need not wait for it"),
     Command(("completion",), "lime_planner.cli.completion", "print the script that completes commands in your shell"),
     Command(
         ("experiment", "wall"), "lime_planner.experiments.wall.command", "the paper's experiment on the plane", "--trials 20 --out wall"

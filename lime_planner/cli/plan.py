@@ -168,7 +168,7 @@ def _start(args: argparse.Namespace, robot: Robot, recorded: Start | None) -> An
 def plan_in(scene: Scene, robot: Robot, settings: Settings, args: argparse.Namespace, start: Start | None = None) -> int:
     """Plan in a loaded scene and report; `start` is where the arm was when the scene was recorded."""
     from lime_planner.core.status import Status
-    from lime_planner.output.console import working
+    from lime_planner.output.console import compile_first, working
     from lime_planner.pipeline import Pipeline
     from lime_planner.pipeline.scene_targets import plan_first
 
@@ -184,8 +184,9 @@ def plan_in(scene: Scene, robot: Robot, settings: Settings, args: argparse.Names
         return _refuse(args, Status.TF_ERROR.name, Status.TF_ERROR.message(sentence))
     should_stop = _stopped_by_signal()
     pipeline = Pipeline(robot)
-    with working("compiling (minutes the first time ever, a second or two later)"):
-        pipeline.warm_up()  # compiling must not eat the time budget
+    compile_first()
+    with working("loading"):
+        pipeline.warm_up((settings.planner,))  # reading what was compiled must not eat the time budget
     with working("planning", seconds=None if settings.iterations else settings.time_budget_s):
         result = plan_first(
             targets, lambda target: pipeline.plan(scene, target, q_start, settings, should_stop=should_stop, seed=settings.seed)

@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+import functools
 from typing import Any, NamedTuple
 
+import numba
 import numpy as np
 
-from lime_planner.collision.compiled_check import call_check, call_repulsion, make_engine
+from lime_planner.collision.compiled_check import call_check, call_repulsion, empty_parts, make_engine
 from lime_planner.collision.edge_cost import EdgeMemory, arm_check, arm_edge, make_edge_memory, within_box
 from lime_planner.collision.fast import LEAF, State, make_scratch, make_state
 from lime_planner.collision.leaf_contact import Sweep
 from lime_planner.collision.link_shapes import Shapes
 from lime_planner.collision.world import World
-from lime_planner.core.jit import hot_kernel, kernel, overload
+from lime_planner.core.c_structures import reader, vector
+from lime_planner.core.jit import hot_kernel, kernel
 from lime_planner.core.types import Array, Int64
-from lime_planner.planning import space as protocol
+from lime_planner.planning.space import SpaceFunctions, SpaceHandle, make_handle, space_functions
 from lime_planner.robot.kinematics import Chain
 
 
@@ -45,6 +48,10 @@ class ArmSpace(NamedTuple):
     pairs: Int64
     zoned: bool
     own_leaves: bool
+
+    def handle(self) -> SpaceHandle:
+        """The space as planners take it."""
+        return make_handle(self, _functions(), _type())
 
 
 def make_arm_space(lower: Array, upper: Array, chain: Chain, shapes: Shapes, world: World, *, leaves: bool = True) -> ArmSpace:
@@ -95,40 +102,39 @@ def measure(space: ArmSpace, q: Array, floor: float = -np.inf) -> Any:
     return call_check(space.engine[1], space.engine[0], 1, floor) != 0
 
 
-@overload(protocol.evaluate)
-def _evaluate(space: Any, q: Any) -> Any:
-    if not protocol.is_space(space, ArmSpace):
-        return None
-
-    def implementation(space: Any, q: Any) -> Any:
-        return arm_evaluate(space, q)
-
-    return implementation
-
-
-@overload(protocol.edge)
-def _edge(space: Any, a: Any, b: Any, weight: Any, bound: Any) -> Any:
-    if not protocol.is_space(space, ArmSpace):
-        return None
-
-    def implementation(space: Any, a: Any, b: Any, weight: Any, bound: Any) -> Any:
-        return arm_edge(space, a, b, weight, bound)
-
-    return implementation
+@hot_kernel
+def arm_repulsion(space: ArmSpace, q: Array, d_star: float, k_leaf: float, k_stem: float, force: Array) -> Any:
+    """`lime_planner.planning.space.repulsion` for the arm."""
+    for i in range(q.shape[0]):
+        space.q[i] = q[i]
+        space.force[i] = 0.0
+    nearest = call_repulsion(space.engine[2], space.engine[0], space.engine[1], d_star, k_leaf, k_stem)
+    for i in range(q.shape[0]):
+        force[i] += space.force[i]
+    return nearest
 
 
-@overload(protocol.repulsion)
-def _repulsion(space: Any, q: Any, d_star: Any, k_leaf: Any, k_stem: Any, force: Any) -> Any:
-    if not protocol.is_space(space, ArmSpace):
-        return None
+@functools.cache
+def _type() -> Any:
+    parts = empty_parts()
+    return numba.typeof(make_arm_space(np.zeros(0), np.zeros(0), parts.chain, parts.shapes, parts.world))
 
-    def implementation(space: Any, q: Any, d_star: Any, k_leaf: Any, k_stem: Any, force: Any) -> Any:
-        for i in range(q.shape[0]):
-            space.q[i] = q[i]
-            space.force[i] = 0.0
-        nearest = call_repulsion(space.engine[2], space.engine[0], d_star, k_leaf, k_stem)
-        for i in range(q.shape[0]):
-            force[i] += space.force[i]
-        return nearest
 
-    return implementation
+_read = reader(_type)
+
+
+def _evaluate_at(structure: Any, q: Any, n: Any) -> Any:
+    return arm_evaluate(_read(structure), vector(q, n))
+
+
+def _edge_at(structure: Any, a: Any, b: Any, n: Any, weight: Any, bound: Any) -> Any:
+    return arm_edge(_read(structure), vector(a, n), vector(b, n), weight, bound)
+
+
+def _repulsion_at(structure: Any, q: Any, n: Any, d_star: Any, k_leaf: Any, k_stem: Any, force: Any) -> Any:
+    return arm_repulsion(_read(structure), vector(q, n), d_star, k_leaf, k_stem, vector(force, n))
+
+
+@functools.cache
+def _functions() -> SpaceFunctions:
+    return space_functions(_evaluate_at, _edge_at, _repulsion_at)

@@ -17,8 +17,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import scipy.ndimage
-from scipy.spatial import cKDTree
 
 from lime_planner.core.atomic_files import replacing
 from lime_planner.core.cache_folder import cache_root
@@ -80,6 +78,7 @@ def signed_distance_grid(vertices: Array, triangles: Int32) -> tuple[Array, floa
         origin (3,), spacing, values (nx, ny, nz) float32 [m].
     """
     import open3d as o3d
+    import scipy.ndimage
 
     low, high = vertices.min(axis=0) - GRID_PADDING_M, vertices.max(axis=0) + GRID_PADDING_M
     spacing = float(np.clip((np.prod(high - low) / _GRID_NODES) ** (1 / 3), 0.002, 0.01))
@@ -102,12 +101,16 @@ def signed_distance_grid(vertices: Array, triangles: Int32) -> tuple[Array, floa
 
 
 def _interpolate(origin: Array, spacing: float, values: Float32, points: Array) -> Array:
+    import scipy.ndimage
+
     coordinates = ((points - origin) / spacing).T
     return np.asarray(scipy.ndimage.map_coordinates(values, coordinates, order=1, mode="nearest"), dtype=np.float64)
 
 
 def _cover(candidates: Array, depth: Array, points: Array, overshoot: float, limit: int = 400) -> Array:
     """Choose spheres greedily: centre inside the body, radius its depth there plus `overshoot`, until all `points` are covered."""
+    from scipy.spatial import cKDTree
+
     radius = depth + overshoot
     tree = cKDTree(points)
     members = [np.asarray(m) for m in tree.query_ball_point(candidates, radius - 1e-4)]

@@ -6,10 +6,9 @@ from collections.abc import Callable
 from typing import Any, TypeVar
 
 import numba
-import numba.extending
 
 from lime_planner.core.errors import LimePlannerError
-from lime_planner.core.kernel_cache import kernel_cache
+from lime_planner.core.kernel_cache import kernel_cache, use_kernel_files
 
 if numba.config.DISABLE_JIT:
     raise LimePlannerError("NUMBA_DISABLE_JIT is set, and without the compiler nothing can be planned: unset it")
@@ -23,7 +22,7 @@ JIT_OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy", "fastmath"
 def kernel(function: F) -> F:
     """Compile `function` with Numba: no Python objects, no GIL, cached on disk under a hash of the sources it is made of."""
     with kernel_cache(function):
-        return numba.njit(cache=True, **JIT_OPTIONS)(function)  # type: ignore[no-any-return]
+        return use_kernel_files(numba.njit(cache=True, **JIT_OPTIONS)(function))  # type: ignore[no-any-return]
 
 
 def hot_kernel(function: F) -> F:
@@ -33,21 +32,16 @@ def hot_kernel(function: F) -> F:
     Such a function must not allocate or return arrays; its callers keep them alive.
     """
     with kernel_cache(function):
-        return numba.njit(cache=True, _nrt=False, **JIT_OPTIONS)(function)  # type: ignore[no-any-return]
+        return use_kernel_files(numba.njit(cache=True, _nrt=False, **JIT_OPTIONS)(function))  # type: ignore[no-any-return]
 
 
 def inline_kernel(function: F) -> F:
     """Compile like `hot_kernel`, but merged into each caller, so that named tuples of many arrays are not copied at the call."""
     with kernel_cache(function):
-        return numba.njit(cache=True, forceinline=True, _nrt=False, **JIT_OPTIONS)(function)  # type: ignore[no-any-return]
+        return use_kernel_files(numba.njit(cache=True, forceinline=True, _nrt=False, **JIT_OPTIONS)(function))  # type: ignore[no-any-return]
 
 
 def c_function(signature: Any, function: Callable[..., Any]) -> Any:
     """Compile `function` as a C function with an address (slow the first time, then read from the cache; keep the result alive)."""
     with kernel_cache(function):
-        return numba.cfunc(signature, cache=True, _nrt=False, **JIT_OPTIONS)(function)
-
-
-def overload(stub: Callable[..., Any]) -> Callable[[F], F]:
-    """Register a compiled implementation of `stub` for one type of space (see `lime_planner.planning.space`)."""
-    return numba.extending.overload(stub, jit_options=dict(JIT_OPTIONS))  # type: ignore[no-any-return]
+        return use_kernel_files(numba.cfunc(signature, cache=True, _nrt=False, **JIT_OPTIONS)(function))

@@ -2,8 +2,8 @@
 
 Numba keys its cache on the file that holds a function, not on the files of the functions that it calls: after an edit of a callee in
 another module the caller would go on running the old code. Here each source file with kernels has a folder whose name carries a hash
-of everything that its kernels can be made of: the file, compiled code of the project that it imports, directly or not, and, where it uses
-the protocol of spaces (`lime_planner.planning.space`), every file that implements that protocol. Nothing in the name depends on where the
+of everything that its kernels can be made of: the file, compiled code of the project that it imports, directly or not; a planner calls
+a space's functions by their address, so that neither is made of the other. Nothing in the name depends on where the
 package lies, so that two checkouts of the same sources share what was compiled.
 """
 
@@ -24,13 +24,13 @@ from typing import Any
 
 import numba
 from numba.core import caching
+from numba.core.types import BaseNamedTuple
 
 from lime_planner.core.cache_folder import cache_root
 
 _PACKAGE = Path(__file__).resolve().parents[1]
 #: Folders that hold kernels: the package, and in a checkout what measures it.
 _SOURCES = (_PACKAGE, _PACKAGE.parent / "benchmarks")
-_PROTOCOL = "lime_planner.planning.space"
 _KEPT_VERSIONS = 3  # of one file's kernels, however old
 _UNUSED_S = 7 * 86400.0  # what was used since then is kept too: several checkouts may share a user's cache
 _IMPORT = re.compile(r"^[ \t]*(?:from[ \t]+([\w.]+)[ \t]+import[ \t]+(\([^)]*\)|[^\n(]+)|import[ \t]+([\w., ]+))", re.MULTILINE)
@@ -58,12 +58,6 @@ def _imports(module: str) -> frozenset[str]:
     return frozenset(found)
 
 
-@cache
-def _implementations() -> frozenset[str]:
-    """Modules that implement the protocol of spaces for their own types: no kernel module imports them, and any planner may run them."""
-    return frozenset(name for name, text in _texts().items() if b"@overload" in text)
-
-
 def _ingredients(module: str) -> set[str]:
     """The files that the kernels of a module can be made of.
 
@@ -77,10 +71,8 @@ def _ingredients(module: str) -> set[str]:
         if name not in found:
             found.add(name)
             waiting.extend(_imports(name))
-            if name == _PROTOCOL:
-                waiting.extend(_implementations())
     texts = _texts()
-    compiled = {name for name in found if b"kernel\n" in texts[name] or b"@overload" in texts[name]} | {module}
+    compiled = {name for name in found if b"kernel\n" in texts[name]} | {module}
     direct = {other for name in compiled for other in _imports(name)}
     return compiled | direct | {name for name in found if b"NamedTuple" in texts[name]}
 
@@ -129,6 +121,28 @@ def kernel_folder(path: str) -> Path:
     return folder
 
 
+def _mark() -> Path:
+    """The file that says that all kernels are compiled, as they are now."""
+    kernels = (name for name, text in _texts().items() if name.startswith("lime_planner.") and b"kernel\n" in text)
+    digest = hashlib.sha256("".join(_hash_of(name) for name in sorted(kernels)).encode())
+    return cache_root() / "kernels" / f"complete-{digest.hexdigest()[:16]}"
+
+
+def all_compiled() -> bool:
+    """Tell whether all kernels of the package were compiled (`note_all_compiled`) as they are now."""
+    return _mark().exists()
+
+
+def note_all_compiled() -> None:
+    """Note that all kernels are compiled; notes about versions long gone are removed."""
+    mark = _mark()
+    with contextlib.suppress(OSError):
+        mark.parent.mkdir(parents=True, exist_ok=True)
+        mark.touch()
+        for stale in sorted(mark.parent.glob("complete-*"), key=lambda p: p.stat().st_mtime, reverse=True)[_KEPT_VERSIONS:]:
+            stale.unlink()
+
+
 # Numba's own class for a folder that the user names; it had another name before 0.62.
 _Locator: Any = getattr(caching, "UserProvidedCacheLocator", None) or getattr(caching, "_UserProvidedCacheLocator", object)
 
@@ -143,6 +157,52 @@ class KernelLocator(_Locator):
     def get_source_stamp(self) -> str:
         """Return the same for ever: the folder's name already tells versions apart, and the time of a checkout says nothing."""
         return "by the folder's name"
+
+
+def _words(numba_type: Any) -> str:
+    """A compile-time type in words that tell named tuples apart by class and fields."""
+    if not isinstance(numba_type, BaseNamedTuple):
+        return repr(numba_type)
+    named = numba_type.instance_class
+    parts = (f"{name}: {_words(part)}" for name, part in zip(numba_type.fields, numba_type.types, strict=True))
+    return f"{named.__module__}.{named.__qualname__}({', '.join(parts)})"
+
+
+class KernelFiles(caching.IndexDataCacheFile):
+    """The files of one function's compiled versions, each named by a hash of the types that it is for.
+
+    Numba's own class numbers them and keeps an index: two processes that compile at the same time may give one number to two versions, and
+    an index that another checkout has written names types that are not here.
+    """
+
+    def _file_of(self, key: Any) -> str:
+        stem = self._index_name.removesuffix(".nbi")
+        types, *rest = key
+        words = repr(([_words(part) for part in types] if isinstance(types, tuple) else types, rest))
+        return f"{stem}.{hashlib.sha256(words.encode()).hexdigest()[:16]}.nbc"
+
+    def flush(self) -> None:
+        """Do nothing: what is on the disk is right."""
+
+    def save(self, key: Any, data: Any) -> None:
+        """Write a version."""
+        self._save_data(self._file_of(key), data)
+
+    def load(self, key: Any) -> Any:
+        """Read a version, None where there is none, or none that can be read here."""
+        try:
+            return self._load_data(self._file_of(key))
+        except Exception:  # whatever unpickling raises: it is compiled again
+            return None
+
+
+def use_kernel_files(compiled: Any) -> Any:
+    """Let a decorated function read and write its versions through `KernelFiles`, and return it."""
+    cache_of_function = getattr(compiled, "_cache", None)
+    files = getattr(cache_of_function, "_cache_file", None)
+    if type(files) is caching.IndexDataCacheFile:
+        files.__class__ = KernelFiles
+    return compiled
 
 
 @contextlib.contextmanager

@@ -145,7 +145,7 @@ class Problem:
         goals = self.goals.configurations
         if np.abs(rows[0] - self.start).max() > 1e-6 or np.abs(goals - rows[-1]).max(axis=1).min() > 1e-6:
             return float("inf")
-        return float(paper_kernels.measure(self.space(), rows, self.settings.weight)[3])
+        return float(paper_kernels.measure(self.space().handle(), rows, self.settings.weight)[3])
 
 
 @functools.lru_cache(maxsize=2)

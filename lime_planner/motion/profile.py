@@ -1,21 +1,48 @@
 """The fastest run of a smooth path within joint limits, by toppra (Pham and Pham 2018).
 
-Import it only where it is used: toppra takes a second to import.
+Import it only where it is used: toppra takes a good part of a second to import.
 """
 
 from __future__ import annotations
 
+import contextlib
 import logging
+import sys
+import threading
+from collections.abc import Iterator
 from dataclasses import dataclass
+from types import ModuleType
 
 import numpy as np
 import numpy.typing as npt
-from toppra.algorithm import TOPPRA
-from toppra.constraint import DiscretizationType, JointAccelerationConstraint, LinearConstraint
 
 from lime_planner.core.errors import LimePlannerError
 from lime_planner.core.types import Array
 from lime_planner.motion.blend import BlendedPath
+
+
+@contextlib.contextmanager
+def _without_plots() -> Iterator[None]:
+    """Spare the import of Matplotlib, half of toppra's own, which it needs for one debugging plot that is never drawn here.
+
+    Not where other threads might import it meanwhile.
+    """
+    names = ("matplotlib", "matplotlib.pyplot")
+    if any(name in sys.modules for name in names) or threading.active_count() > 1:
+        yield
+        return
+    sys.modules.update({name: ModuleType(name) for name in names})
+    sys.modules[names[0]].pyplot = sys.modules[names[1]]  # type: ignore[attr-defined]
+    try:
+        yield
+    finally:
+        for name in names:
+            del sys.modules[name]
+
+
+with _without_plots():
+    from toppra.algorithm import TOPPRA
+    from toppra.constraint import DiscretizationType, JointAccelerationConstraint, LinearConstraint
 
 # It reports every numerical retry as a warning; what matters of that is checked on its result below.
 logging.getLogger("toppra").setLevel(logging.CRITICAL)

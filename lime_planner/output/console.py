@@ -6,7 +6,7 @@ import contextlib
 import sys
 import threading
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from lime_planner.core.atomic_files import write_json
@@ -17,6 +17,8 @@ if TYPE_CHECKING:
     from rich.progress import Progress as RichProgress
 
 _TICK_S = 0.1
+_LINE_EVERY_S = 5.0  # in a pipe or a log
+_COMPILING = "compiling, once after an installation or an update"
 
 __all__ = ["ROWS", "cell", "console", "headline", "print_plans", "warn", "write_json"]
 
@@ -149,3 +151,31 @@ def _ticking(bar: Progress) -> Iterator[None]:
     finally:
         done.set()
         thread.join()
+
+
+@contextlib.contextmanager
+def _compilation_shown() -> Iterator[Callable[[int, float], None]]:
+    """Give a function that shows on standard error how far the compiler is: a bar, or lines where that is no terminal."""
+    if sys.stderr.isatty():
+        with working(_COMPILING) as progress:
+            yield lambda done, elapsed_s: progress.say(f"{_COMPILING}: {done} functions")
+        return
+    last_s = [-_LINE_EVERY_S]
+
+    def line(done: int, elapsed_s: float) -> None:
+        if elapsed_s - last_s[0] >= _LINE_EVERY_S:
+            last_s[0] = elapsed_s
+            print(f"{_COMPILING}: {done} functions, {elapsed_s:.0f} s", file=sys.stderr, flush=True)
+
+    yield line
+
+
+def compile_first() -> bool:
+    """Compile what the cache does not hold, and show it; whether there was anything."""
+    from lime_planner.core.kernel_cache import all_compiled
+    from lime_planner.pipeline.compilation import ensure_compiled
+
+    if all_compiled():
+        return False
+    with _compilation_shown() as report:
+        return ensure_compiled(report)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import numpy as np
@@ -30,6 +30,8 @@ from lime_planner.pipeline.search import search
 from lime_planner.pipeline.spots import Spot, spot_at
 from lime_planner.pipeline.targets import Target, target_of
 from lime_planner.planning.planner import load_planner
+from lime_planner.planning.practice import practise
+from lime_planner.planning.space import line, one
 from lime_planner.robot.model import Robot, home
 from lime_planner.scene import voxels
 from lime_planner.scene.scene import Scene
@@ -56,24 +58,28 @@ class Pipeline:
             self._shapes = build_shapes(self.robot)
         return self._shapes
 
-    def warm_up(self) -> None:
-        """Build the shapes, and run every kernel once so that no plan pays for compilation."""
+    def warm_up(self, planners: Iterable[str] = PLANNERS) -> None:
+        """Build the shapes, and run every kernel once so that no plan pays for compilation.
+
+        Args:
+            planners: those that will be asked; all of them by default.
+        """
         voxels.warm_up()
         q = home(self.robot)
         T = self.robot.forward(q + 0.2)
         apart = T[:3, 3] + np.array([0.0, 0.0, 0.4])
         points = apart + np.random.default_rng(0).uniform(-0.05, 0.05, (64, 3))
         scene = Scene.from_points(points, np.arange(64) % 2, frame_id=self.robot.planning_frame)
-        easy = {"ik_starts": 10, "leaf_speed_scale": 0.9, "floor_z_m": -5.0}
-        for planner in map(load_planner, PLANNERS):
-            settings = settings_from({"planner": planner.name, "iterations": planner.warm_iterations, **easy})
-            self.plan(scene, T, q, settings, seed=1)
-            # What plans that are less easy than these ask besides.
-            planner.warm_up(self.obstacles(scene, T[:3, 3], settings).space(q - 1.0, q + 1.0))
-        obstacles = self.obstacles(scene, T[:3, 3], settings)
-        checker = obstacles.exact_checker()
+        settings = settings_from({"ik_starts": 10, "leaf_speed_scale": 0.9, "floor_z_m": -5.0})
+        obstacles, checker, goals = self._goals(scene, target_of(T), q, settings, 1, Clock(), {}, {}, never)
+        space = obstacles.space(q - 4.0, q + 4.0).handle()
+        one(space, q)
+        line(space, q, goals.configurations[0], 1.0, np.inf)
+        self.follow(np.array([q, q + 0.05]), scene, T, settings)
         checker.stem_distance(q)
         checker.leaf_contact(q)
+        for name in planners:
+            practise(load_planner(name))
         self._kept = None
 
     def obstacles(

@@ -14,6 +14,7 @@ from lime_planner.core.errors import LimePlannerError, Refusal
 from lime_planner.core.parameters import Settings
 from lime_planner.core.status import Status
 from lime_planner.motion import stop
+from lime_planner.output.console import compile_first
 from lime_planner.pipeline import Pipeline
 from lime_planner.robot.model import Robot, load_robot, robot_from_urdf
 from lime_planner.ros.runtime import BackgroundThread, Severity
@@ -31,6 +32,7 @@ class Loaded:
 
     def warm_up(self) -> None:
         """Compile what planning and stopping need."""
+        compile_first()
         stop.warm_up()
         self.pipeline.warm_up()
 

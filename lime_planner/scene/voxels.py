@@ -117,13 +117,17 @@ def _lonely(points: Any, edge_m: float, at_least: int, bits: int) -> Any:
 
 
 @kernel
-def _linked(points: Any, seed: int, link_m: float) -> Any:
+def _keys(points: Any, edge_m: float) -> Any:
+    keys = np.empty(points.shape[0], np.int64)
+    for i in range(points.shape[0]):
+        keys[i] = _key(int(np.floor(points[i, 0] / edge_m)), int(np.floor(points[i, 1] / edge_m)), int(np.floor(points[i, 2] / edge_m)))
+    return keys
+
+
+@kernel
+def _linked(points: Any, seed: int, link_m: float, keys: Any, waiting: Any, ordered: Any) -> Any:
+    """Flood from `seed`; `waiting` has the points cell by cell, those of a cell that are not linked yet first, `ordered` their keys."""
     n = points.shape[0]
-    keys = np.empty(n, np.int64)
-    for i in range(n):
-        keys[i] = _key(int(np.floor(points[i, 0] / link_m)), int(np.floor(points[i, 1] / link_m)), int(np.floor(points[i, 2] / link_m)))
-    waiting = np.argsort(keys)  # the points cell by cell; those of a cell that are not linked yet stand first
-    ordered = keys[waiting]
     left = np.zeros(n, np.int64)  # how many those are, where a cell begins
     begin = 0
     for k in range(1, n + 1):
@@ -201,7 +205,10 @@ def lonely(points: Float32, radius_m: float, neighbours: int) -> Bool:
 
 def linked(points: Float32, seed: int, link_m: float) -> Bool:
     """Tell which points (N,) are reached from point `seed` by steps of at most `link_m` from point to point."""
-    result: Bool = _linked(_frozen(points), seed, float(link_m))
+    frozen = _frozen(points)
+    keys = _keys(frozen, float(link_m))
+    waiting = np.argsort(keys, kind="stable")  # here: a sort compiled by Numba takes seconds to compile
+    result: Bool = _linked(frozen, seed, float(link_m), keys, waiting, keys[waiting])
     return result
 
 

@@ -16,6 +16,7 @@ from lime_planner.core.status import Status
 from lime_planner.core.types import Array
 from lime_planner.motion import stop as stopping
 from lime_planner.motion.trajectory import Trajectory
+from lime_planner.output.console import compile_first
 from lime_planner.pipeline import Pipeline, PlanResult
 from lime_planner.pipeline.plan_record import PlanRecord
 from lime_planner.pipeline.scene_targets import own_target
@@ -286,6 +287,7 @@ class SceneBackend:
         if result is not None:
             grasp = self._target if result.T_base_tool is None else matrix_to_pose(result.T_base_tool)
             self._show(self._scene, grasp, self._settings, result)
+        compile_first()
         stopping.warm_up()
         pipeline.warm_up()
         with self._lock:

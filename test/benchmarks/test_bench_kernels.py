@@ -16,7 +16,6 @@ from benchmarks.planners.compiled_checks import CompiledChecks
 from benchmarks.problem_sets import NARROW_M, choose_problems, plant_specs, scan_specs
 from lime_planner.cli.main import main
 from lime_planner.core.errors import ParameterError
-from lime_planner.core.jit import kernel
 from lime_planner.experiments.problems import ProblemSpec, SceneSpec, build_problem, find_problem
 from lime_planner.pipeline.figures import sample_path
 from lime_planner.pipeline.goals import measure
@@ -24,20 +23,10 @@ from lime_planner.planning.lime_star import planner as lime_star
 from lime_planner.planning.lime_star import run as lime_run
 from lime_planner.planning.lime_star.options import LimeOptions
 from lime_planner.planning.lime_star.planner import plan_lime
-from lime_planner.planning.space import edge, evaluate
+from lime_planner.planning.space import line, one
 from lime_planner.planning.spaces.plane import random_wall
 
 PLANT = "sparse:4"
-
-
-@kernel
-def _edge(space, a, b, weight):
-    return edge(space, a, b, weight, np.inf)
-
-
-@kernel
-def _evaluate(space, q):
-    return evaluate(space, q)
 
 
 @pytest.fixture(scope="module")
@@ -105,7 +94,7 @@ def test_cost_of_a_path_is_its_length_and_its_leaves(problem):
     assert outcome["cost"] is not None
     path = np.array(outcome["path"])
     rows, lengths = sample_path(path, 0.0005)
-    leaf = np.array([_evaluate(problem.space(), q) for q in np.ascontiguousarray(rows)])
+    leaf = np.array([one(problem.space(), q) for q in np.ascontiguousarray(rows)])
     assert (leaf >= 0.0).all()
     along = float((0.5 * (leaf[1:] + leaf[:-1]) * np.diff(lengths)).sum())
     expected = lengths[-1] + problem.settings.weight * along
@@ -123,9 +112,9 @@ def test_compiled_checks_are_the_kernels_own(problem):
     for _ in range(60):
         a = goals[rng.integers(len(goals))] + rng.normal(0.0, 0.2, 6)
         b = a + rng.normal(0.0, 0.2, 6)
-        expected = _edge(problem.space(), a, b, 1000.0)
+        expected = line(problem.space(), a, b, 1000.0, np.inf)
         assert checks.cost(a.tolist(), b.tolist()) == expected
-        assert checks.valid(a.tolist()) == (_evaluate(problem.space(), a) >= 0.0)
+        assert checks.valid(a.tolist()) == (one(problem.space(), a) >= 0.0)
         finite += np.isfinite(expected)
     assert finite > 5
     assert checks.edges == 60 and checks.checks == int(space.counters[0] + space.counters[2]) >= 60

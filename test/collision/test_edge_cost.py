@@ -14,24 +14,13 @@ from lime_planner.collision.fast import LEAF, SELF
 from lime_planner.collision.joint_space import ArmSpace, make_arm_space, measure
 from lime_planner.collision.leaf_contact import FINEST_RAD
 from lime_planner.collision.self_contact import SELF_CLEARANCE_M
-from lime_planner.core.jit import kernel
 from lime_planner.pipeline.obstacles import Obstacles
-from lime_planner.planning.space import N_EDGE_STATES, edge, evaluate
+from lime_planner.planning.space import N_EDGE_STATES, line, one
 from lime_planner.robot.model import home
 
 FINE_RAD = 0.001
 TOLERANCE_M = 0.002  # by which clearance may be under the requirement inside an edge (less where little is required)
 W = 1000.0
-
-
-@kernel
-def edge_cost(space, a, b, weight, bound):
-    return edge(space, a, b, weight, bound)
-
-
-@kernel
-def valid(space, q):
-    return evaluate(space, q) >= 0.0
 
 
 def wide_space(obstacles: Obstacles, **options) -> ArmSpace:
@@ -40,7 +29,7 @@ def wide_space(obstacles: Obstacles, **options) -> ArmSpace:
 
 
 def cost(space: ArmSpace, a: np.ndarray, b: np.ndarray, weight: float = W, bound: float = np.inf) -> float:
-    return edge_cost(space, np.ascontiguousarray(a), np.ascontiguousarray(b), weight, bound)
+    return line(space, np.ascontiguousarray(a), np.ascontiguousarray(b), weight, bound)
 
 
 def sampled(obstacles: Obstacles, a: np.ndarray, b: np.ndarray, fine: float = FINE_RAD) -> tuple[np.ndarray, np.ndarray, float]:
@@ -72,12 +61,12 @@ def free_edges(name: str, count: int = 70):
     space = wide_space(obstacles)
     rng = np.random.default_rng(11)
     rows = near_configurations(robot_named(), rng, 600, np.median(scene.leaf_points, axis=0), 0.25)
-    rows = [q for q in rows if valid(space, q)]
+    rows = [q for q in rows if one(space, q) >= 0.0]
     edges = []
     for a in rows:
         direction = rng.normal(size=6)
         b = a + direction / np.linalg.norm(direction) * np.exp(rng.uniform(np.log(0.05), np.log(2.5)))
-        if valid(space, b):
+        if one(space, b) >= 0.0:
             edges.append((a, b))
     assert len(edges) >= count
     return obstacles, space, edges[:count]
@@ -170,7 +159,7 @@ def test_invalid_ends_and_the_sampling_box() -> None:
     a, b = edges[0]
     robot = robot_named()
     low, high = box_of(robot)
-    bad = next(q for q in np.random.default_rng(0).uniform(low, high, (5000, 6)) if not valid(space, q))
+    bad = next(q for q in np.random.default_rng(0).uniform(low, high, (5000, 6)) if not one(space, q) >= 0.0)
     assert cost(space, a, bad) == cost(space, bad, a) == np.inf
     narrow = obstacles.space(np.minimum(a, b) + 1e-3 * np.abs(b - a), np.maximum(a, b) + 1.0)
     assert cost(narrow, a, b) == np.inf
@@ -204,7 +193,7 @@ def test_a_thin_stem_across_an_edge_is_never_missed(margin: float, length: float
         a, b, points = crossing(rng, 0.003, length)
         obstacles = obstacles_of(scene_of(points), stem_margin_m=margin)
         space = wide_space(obstacles)
-        if not (valid(space, a) and valid(space, b)):
+        if not (one(space, a) and one(space, b) >= 0.0):
             continue
         if np.isinf(cost(wide_space(obstacles_of(scene_of(), stem_margin_m=margin)), a, b)):
             continue  # the arm is in its own way
@@ -259,7 +248,7 @@ def test_the_approach_zone_is_entered_at_its_border() -> None:
     target = scene.stem_points[len(scene.stem_points) // 3].astype(float)
     obstacles = obstacles_of(scene, target, target_exclusion_radius_m=0.12, approach_zone_m=0.10)
     space, checker = wide_space(obstacles), obstacles.exact_checker()
-    rows = [q for q in near_configurations(robot, rng, 2000, target, 0.25) if valid(space, q)]
+    rows = [q for q in near_configurations(robot, rng, 2000, target, 0.25) if one(space, q) >= 0.0]
     inside = [np.linalg.norm(robot.forward(q)[:3, 3] - target) < 0.10 for q in rows]
     assert 3 < sum(inside) < len(rows)
     passed = 0
@@ -267,7 +256,7 @@ def test_the_approach_zone_is_entered_at_its_border() -> None:
         for _ in range(4):
             direction = rng.normal(size=6)
             b = q + direction / np.linalg.norm(direction) * rng.uniform(0.1, 0.8)
-            if not valid(space, b):
+            if not one(space, b) >= 0.0:
                 continue
             over, _, _ = sampled(obstacles, q, b, 2.0 * FINE_RAD)
             found = cost(space, q, b)

@@ -58,7 +58,7 @@ def measured(obstacles: Obstacles, rows: np.ndarray) -> np.ndarray:
 def evaluated(obstacles: Obstacles, rows: np.ndarray) -> np.ndarray:
     """What a planner is told: -1 where invalid, else the leaf intensity."""
     out = np.empty(len(rows))
-    evaluate_all(obstacles.space(np.full(rows.shape[1], -1e3), np.full(rows.shape[1], 1e3)), np.ascontiguousarray(rows), out)
+    evaluate_all(obstacles.space(np.full(rows.shape[1], -1e3), np.full(rows.shape[1], 1e3)).handle(), np.ascontiguousarray(rows), out)
     return out
 
 

@@ -76,12 +76,12 @@ def test_both_checkers_answer_alike(run: Any) -> None:
     scene = run[0].tasks[0].scene
     fast, goals = space_of(Task(SMALL, scene, FIXED, "rrt_star", 0))
     exact, _ = space_of(Task(LimeOptions(checker="fcl"), scene, FIXED, "rrt_star", 0))
-    from lime_planner.planning.rrt_star.kernels import evaluate_one
+    from lime_planner.planning.space import one
 
     rng = np.random.default_rng(0)
     near = goals[0] + rng.normal(0.0, 0.15, (60, 6))
     far = rng.uniform(fast.lower, fast.upper, (60, 6))
-    answers = np.array([[evaluate_one(space, q) for space in (fast, exact)] for q in np.concatenate([near, far])])
+    answers = np.array([[one(space, q) for space in (fast, exact)] for q in np.concatenate([near, far])])
     assert (answers[:, 0] == answers[:, 1]).mean() >= 0.95  # within half a millimetre they may differ
     assert {-1.0, 0.0, 1.0} == set(answers[:, 1])
     record = run_trial(Task(LimeOptions(checker="fcl", iterations=60), scene, FIXED, "apf_rrt_star", 0))

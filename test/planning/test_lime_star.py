@@ -16,14 +16,13 @@ from hypothesis import strategies as st
 
 from lime_planner.collision.joint_space import measure
 from lime_planner.core.errors import ProblemError
-from lime_planner.core.jit import kernel
 from lime_planner.core.status import Status
 from lime_planner.experiments.wall.optimum import plane_optimum
 from lime_planner.pipeline.figures import sample_path
 from lime_planner.planning.lime_star.options import LimeOptions, LimeOutcome
 from lime_planner.planning.lime_star.planner import plan_lime, warm_up
 from lime_planner.planning.lime_star.run import twins
-from lime_planner.planning.space import edge, evaluate
+from lime_planner.planning.space import line, one
 from lime_planner.planning.spaces.plane import PlaneWorld, random_wall, wall_g
 from lime_planner.robot.model import home
 
@@ -31,22 +30,12 @@ WEIGHT = 100.0 / 3.0
 LATENCY_S = 0.05
 
 
-@kernel
-def edge_cost(space, a, b, weight):
-    return edge(space, a, b, weight, np.inf)
-
-
-@kernel
-def intensity(space, q):
-    return evaluate(space, q)
-
-
 def solve(world: PlaneWorld, seed: int = 1, *, weight: float = WEIGHT, iterations: int | None = 1000, **options: Any) -> LimeOutcome:
     return plan_lime(world.space(), world.start, world.goal, LimeOptions(weight=weight), seed, iterations=iterations, **options)
 
 
 def total(space: Any, path: np.ndarray, weight: float) -> float:
-    return sum(edge_cost(space, np.ascontiguousarray(a), np.ascontiguousarray(b), weight) for a, b in itertools.pairwise(path))
+    return sum(line(space, np.ascontiguousarray(a), np.ascontiguousarray(b), weight, np.inf) for a, b in itertools.pairwise(path))
 
 
 @cache
@@ -261,7 +250,7 @@ def arm_problem(kind: str) -> tuple[Any, np.ndarray, np.ndarray]:
     rows = near_configurations(robot_named(), np.random.default_rng(3), 600, np.median(scene.leaf_points, axis=0), 0.12)
     rows = start + (rows - start + np.pi) % (2.0 * np.pi) - np.pi
     rows[:, 1:3] = np.clip(rows[:, 1:3], robot_named().lower[1:3], robot_named().upper[1:3])
-    leafy = [q for q in rows if intensity(space, np.ascontiguousarray(q)) > 0.0][:4]
+    leafy = [q for q in rows if one(space, np.ascontiguousarray(q)) > 0.0][:4]
     assert len(leafy) == 4
     return obstacles, start, np.array(leafy)
 

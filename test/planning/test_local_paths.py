@@ -42,7 +42,7 @@ def points(tracks: Tracks, t: int = 0) -> np.ndarray:
 
 @pytest.mark.parametrize("goal", [(60.0, 50.0), (20.0, 50.0), (40.0, 80.0), (51.0, 44.0)])
 def test_informed_samples_fill_the_ellipse_evenly(goal: tuple[float, float]) -> None:
-    space = free_plane().space()
+    space = free_plane().space().handle()
     a, b, bound = np.array([40.0, 50.0]), np.array(goal), 41.0
     random, q = random_state(3), np.zeros(2)
     drawn = []
@@ -65,7 +65,7 @@ def test_informed_samples_fill_the_ellipse_evenly(goal: tuple[float, float]) -> 
 @pytest.mark.parametrize("bound", [40.0, 50.0, math.inf, 500.0])
 def test_no_informed_sample_where_none_is_of_use(bound: float) -> None:
     q = np.full(2, 7.0)
-    space, a, b = free_plane().space(), np.array([20.0, 50.0]), np.array([70.0, 50.0])
+    space, a, b = free_plane().space().handle(), np.array([20.0, 50.0]), np.array([70.0, 50.0])
     assert draw_between(space, a, b, bound, random_state(1), q) == 0.0
     assert q.tolist() == [7.0, 7.0]
 
@@ -75,7 +75,7 @@ def test_no_informed_sample_where_none_is_of_use(bound: float) -> None:
 
 def test_waypoints_come_and_go() -> None:
     path = [[10.0, 10.0], [20.0, 15.0], [40.0, 30.0], [60.0, 30.0], [90.0, 60.0]]
-    tracks = load(free_plane().space(), path)
+    tracks = load(free_plane().space().handle(), path)
     before = tracks.segment[0, :4].copy()
     make_room(tracks, 0, 1, 2)
     assert tracks.size[0] == 7
@@ -90,8 +90,8 @@ def test_paths_are_compared_along_their_lengths() -> None:
     same = [[10.0, 10.0], [30.0, 10.5], [31.0, 10.5], [90.0, 10.0]]
     above = [[10.0, 10.0], [50.0, 14.0], [90.0, 10.0]]
     elsewhere = [[10.0, 10.0], [90.0, 20.0]]
-    tracks = load(free_plane().space(), straight, same, above, elsewhere)
-    space = free_plane().space()
+    tracks = load(free_plane().space().handle(), straight, same, above, elsewhere)
+    space = free_plane().space().handle()
     assert near_tracks(space, tracks, 0, 1.0) == (1, 1)
     assert near_tracks(space, tracks, 0, 4.5) == (2, 2)  # the most expensive of them is named
     assert near_tracks(space, tracks, 0, 0.1) == (0, -1)
@@ -106,7 +106,7 @@ def test_paths_are_compared_along_their_lengths() -> None:
 def test_polished_paths_are_sound_and_cheaper(tolerance: float) -> None:
     for wall in range(4):
         world = random_wall(wall)
-        space = world.space()
+        space = world.space().handle()
         run = run_of(world, [list(world.goal)])
         assert run.reach(np.asarray(world.goal), 2000)
         tracks, first = run.tracks, float(run.best_cost)
@@ -123,7 +123,7 @@ def test_polished_paths_are_sound_and_cheaper(tolerance: float) -> None:
 
 
 def test_polishing_ends_at_the_straight_line_with_no_waypoint_to_spare() -> None:
-    space = free_plane().space()
+    space = free_plane().space().handle()
     corners = [[10.0, 10.0], [20.0, 60.0], [35.0, 20.0], [50.0, 80.0], [70.0, 30.0], [90.0, 60.0]]
     tracks = load(space, corners)
     polish(space, tracks, 0, 2000, WEIGHT, 0.4, 14.0, 3e-4, random_state(5))

@@ -12,23 +12,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lime_planner.core.errors import ProblemError, SceneError
-from lime_planner.core.jit import kernel
 from lime_planner.experiments.wall.optimum import plane_optimum
-from lime_planner.planning.rrt_star.kernels import evaluate_one
-from lime_planner.planning.space import edge, repulsion
+from lime_planner.planning.space import line, one, repulsion
 from lime_planner.planning.spaces.plane import PlaneWorld, load_world, random_wall, wall_g, world_from_dict
 
 INF = float("inf")
 
 
-@kernel
-def edge_one(space: Any, a: Any, b: Any, weight: float, bound: float) -> float:
-    return edge(space, a, b, weight, bound)
-
-
-@kernel
 def repulsion_one(space: Any, q: Any, d_star: float, k_leaf: float, k_stem: float, force: Any) -> float:
-    return repulsion(space, q, d_star, k_leaf, k_stem, force)
+    return float(repulsion(space.handle(), q, d_star, k_leaf, k_stem, force))
 
 
 def world(permeable: Any = (), impermeable: Any = ()) -> PlaneWorld:
@@ -40,7 +32,7 @@ def box(x0: float, y0: float, x1: float, y1: float) -> tuple[tuple[float, float]
 
 
 def cost(space: Any, a: Any, b: Any, weight: float = 10.0) -> float:
-    return float(edge_one(space, np.array(a, dtype=float), np.array(b, dtype=float), weight, INF))
+    return line(space, np.array(a, dtype=float), np.array(b, dtype=float), weight, INF)
 
 
 coordinate = st.floats(0.0, 100.0, allow_nan=False, width=32)
@@ -50,7 +42,7 @@ leaves = st.lists(triangle, min_size=0, max_size=4)
 
 
 def test_edge_is_charged_for_its_exact_length_inside() -> None:
-    space = world([box(40.0, 0.0, 43.0, 100.0)]).space()
+    space = world([box(40.0, 0.0, 43.0, 100.0)]).space().handle()
     assert cost(space, (10, 50), (90, 50)) == pytest.approx(80.0 + 10.0 * 3.0, abs=1e-9)
     assert cost(space, (40.5, 50), (42.5, 50)) == pytest.approx(2.0 + 20.0, abs=1e-9)
     assert cost(space, (10, 10), (30, 90)) == pytest.approx(np.hypot(20, 80), abs=1e-9)
@@ -63,7 +55,7 @@ def test_thin_sheet_in_the_middle_of_an_edge_is_charged_and_blocks() -> None:
 
 
 def test_overlapping_leaves_are_charged_once() -> None:
-    space = world([box(40, 0, 50, 100), box(45, 0, 55, 100), box(46, 10, 48, 90)]).space()
+    space = world([box(40, 0, 50, 100), box(45, 0, 55, 100), box(46, 10, 48, 90)]).space().handle()
     assert cost(space, (10, 50), (90, 50)) == pytest.approx(80.0 + 150.0)
 
 
@@ -71,17 +63,17 @@ def test_polygons_cost_their_price_and_the_highest_where_they_overlap() -> None:
     sheets = [box(40, -10, 50, 110), box(45, -10, 55, 110), box(60, -10, 70, 110)]
     priced = dataclasses.replace(world(sheets), prices=(0.5, 2.0, 0.0))
     assert cost(priced.space(), (10, 50), (90, 50)) == pytest.approx(80.0 + 10.0 * (5 * 0.5 + 10 * 2.0))
-    assert [evaluate_one(priced.space(), np.array([x, 50.0])) for x in (42.0, 47.0, 52.0, 65.0)] == [0.5, 2.0, 2.0, 0.0]
+    assert [one(priced.space(), np.array([x, 50.0])) for x in (42.0, 47.0, 52.0, 65.0)] == [0.5, 2.0, 2.0, 0.0]
     straight = plane_optimum(priced, 10.0)
     assert straight.cost == pytest.approx(80.0 + 10.0 * 22.5, rel=1e-6)
 
 
 def test_polygons_are_open_and_the_map_is_closed() -> None:
-    space = world([box(40, 40, 60, 60)], [box(70, 40, 80, 60)]).space()
+    space = world([box(40, 40, 60, 60)], [box(70, 40, 80, 60)]).space().handle()
     at = {(50, 50): 1.0, (40, 50): 0.0, (40, 40): 0.0, (75, 50): -1.0, (70, 50): 0.0, (0, 0): 0.0, (100, 100): 0.0, (100.001, 50): -1.0}
     for q, expected in at.items():
-        assert evaluate_one(space, np.array(q, dtype=float)) == expected, q
-    assert evaluate_one(space, np.array([np.nan, 50.0])) == -1.0
+        assert one(space, np.array(q, dtype=float)) == expected, q
+    assert one(space, np.array([np.nan, 50.0])) == -1.0
     assert cost(space, (40, 30), (40, 70)) == 40.0  # along a face
     assert cost(space, (70, 30), (70, 70)) == 40.0
     assert cost(space, (60, 50), (80, 30)) == pytest.approx(np.hypot(20, 20))  # touches the corner of the stem at (70, 40)
@@ -95,7 +87,7 @@ def test_concave_polygon_is_entered_twice() -> None:
 @given(leaves, point, point, st.floats(0.0, 1.0))
 @settings(max_examples=200, deadline=None)
 def test_edge_cost_is_symmetric_adds_up_and_is_at_least_the_distance(shapes: Any, a: Any, b: Any, t: float) -> None:
-    space = world(shapes).space()
+    space = world(shapes).space().handle()
     length = float(np.hypot(b[0] - a[0], b[1] - a[1]))
     whole = cost(space, a, b)
     middle = (a[0] + t * (b[0] - a[0]), a[1] + t * (b[1] - a[1]))
@@ -108,19 +100,19 @@ def test_edge_cost_is_symmetric_adds_up_and_is_at_least_the_distance(shapes: Any
 @given(leaves, point, point)
 @settings(max_examples=100, deadline=None)
 def test_edge_cost_agrees_with_sampling(shapes: Any, a: Any, b: Any) -> None:
-    space = world(shapes).space()
+    space = world(shapes).space().handle()
     length = float(np.hypot(b[0] - a[0], b[1] - a[1]))
     t = (np.arange(2000) + 0.5) / 2000
     points = np.array(a) + t[:, None] * (np.array(b) - np.array(a))
-    share = np.mean([evaluate_one(space, p) for p in points])
+    share = np.mean([one(space, p) for p in points])
     pieces = 2 * 3 * max(len(shapes), 1)  # every crossing may be misplaced by one sample
     assert abs(cost(space, a, b) - length * (1.0 + 10.0 * share)) <= 10.0 * length * pieces / 2000 + 1e-6
 
 
 def test_bound_stops_early_with_a_lower_bound() -> None:
-    space = wall_g().space()
+    space = wall_g().space().handle()
     a, b = np.array([10.0, 50.0]), np.array([90.0, 50.0])
-    assert 50.0 < edge_one(space, a, b, 1.0, 50.0) <= edge_one(space, a, b, 1.0, INF)
+    assert 50.0 < line(space, a, b, 1.0, 50.0) <= line(space, a, b, 1.0, INF)
 
 
 @given(st.integers(0, 500), coordinate, coordinate)
@@ -186,8 +178,8 @@ def test_wrong_files_are_refused_by_field(change: dict[str, Any], words: str) ->
 def test_start_and_goal_may_lie_on_an_outline_and_among_leaves() -> None:
     changed = {"impermeable": [box(90, 50, 95, 60)], "permeable": [box(0, 0, 100, 100)], "start": [0, 0]}
     read = world_from_dict({**wall_g().to_dict(), **changed})
-    assert evaluate_one(read.space(), np.array(read.start)) == 0.0
-    assert evaluate_one(read.space(), np.array(read.goal)) == 1.0
+    assert one(read.space(), np.array(read.start)) == 0.0
+    assert one(read.space(), np.array(read.goal)) == 1.0
 
 
 def test_unreadable_files_are_refused(tmp_path: Any) -> None:
@@ -208,6 +200,6 @@ def test_random_walls_are_repeatable_and_keep_start_and_goal_free(seed: int) -> 
     wall = random_wall(seed)
     assert wall == random_wall(seed)
     assert wall.impermeable
-    space = wall.space()
-    assert evaluate_one(space, np.array(wall.start)) == 0.0
-    assert evaluate_one(space, np.array(wall.goal)) == 0.0
+    space = wall.space().handle()
+    assert one(space, np.array(wall.start)) == 0.0
+    assert one(space, np.array(wall.goal)) == 0.0

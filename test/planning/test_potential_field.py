@@ -19,9 +19,10 @@ from lime_planner.planning.rrt_star.potential_field import (
     shift_sample,
     total_force,
 )
-from lime_planner.planning.spaces.plane import PlaneSpace, wall_g
+from lime_planner.planning.space import SpaceHandle
+from lime_planner.planning.spaces.plane import wall_g
 
-SPACE: PlaneSpace = wall_g().space()
+SPACE: SpaceHandle = wall_g().space().handle()
 GOALS = np.array([[90.0, 50.0]])
 LOWER, UPPER = np.zeros(2), np.full(2, 100.0)
 

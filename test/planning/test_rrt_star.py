@@ -20,8 +20,8 @@ from hypothesis import strategies as st
 from lime_planner.core.errors import ParameterError, ProblemError
 from lime_planner.core.status import Status
 from lime_planner.planning.rrt_star import planner as paper
-from lime_planner.planning.rrt_star.kernels import evaluate_one
 from lime_planner.planning.rrt_star.planner import PaperOptions, PaperOutcome, plan_paper
+from lime_planner.planning.space import one
 from lime_planner.planning.spaces.plane import PlaneWorld, random_wall, wall_g
 
 ALGORITHMS = ("rrt_star", "apf_rrt_star", "p_rrt_star")
@@ -95,7 +95,7 @@ def test_what_every_planner_promises(wall: int, seed: int, changes: dict[str, An
         np.testing.assert_array_equal(snapshot.path[-1], world.goal)
         assert snapshot.length == pytest.approx(np.linalg.norm(np.diff(snapshot.path, axis=0), axis=1).sum())
         assert snapshot.integral_cost >= snapshot.length - 1e-9
-        inside = [evaluate_one(space, q) for q in snapshot.path]
+        inside = [one(space, q) for q in snapshot.path]
         assert min(inside) >= 0.0
         assert snapshot.nodes_inside == sum(v > 0.0 for v in inside)
         assert snapshot.node_cost == pytest.approx(snapshot.length + options.c_perm * snapshot.nodes_inside)
@@ -120,7 +120,7 @@ def assert_clear_of_stems(world: PlaneWorld, path: np.ndarray, delta: float) -> 
     for a, b in itertools.pairwise(path):
         pieces = max(1, int(np.ceil(np.linalg.norm(b - a) / (delta / 10.0))))  # ten times finer than the steps
         for t in np.linspace(0.0, 1.0, pieces + 1):
-            assert evaluate_one(space, (1.0 - t) * a + t * b) >= 0.0
+            assert one(space, (1.0 - t) * a + t * b) >= 0.0
 
 
 def test_node_checks_alone_do_not_certify_edges_and_the_measured_cost_says_so() -> None:

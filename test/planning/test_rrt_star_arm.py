@@ -10,8 +10,8 @@ import pytest
 
 from lime_planner.core.parameters import settings_from
 from lime_planner.pipeline import Pipeline
-from lime_planner.planning.rrt_star.kernels import evaluate_one
 from lime_planner.planning.rrt_star.planner import PaperOptions, PaperOutcome, plan_paper
+from lime_planner.planning.space import one
 from lime_planner.robot.model import home, load_robot
 from lime_planner.scene.scene import Scene
 
@@ -60,14 +60,14 @@ def test_promises(arm: Any, algorithm: str, changes: dict[str, Any]) -> None:
     np.testing.assert_array_equal(path[0], q)
     assert any(np.array_equal(path[-1], g) for g in goals)
     space = obstacles.space(lower, upper)
-    intensity = np.array([evaluate_one(space, node) for node in path])
+    intensity = np.array([one(space, node) for node in path])
     assert intensity.min() >= 0.0
     assert outcome.final.node_cost == pytest.approx(outcome.final.length + 100.0 * intensity.sum())
     if options.cost == "integral":
         assert outcome.final.integral_cost == pytest.approx(outcome.final.stored_cost)
         for a, b in itertools.pairwise(path):
             for t in np.linspace(0.0, 1.0, max(2, int(np.ceil(np.linalg.norm(b - a) / 0.01)))):  # a tenth of a step
-                assert evaluate_one(space, (1.0 - t) * a + t * b) >= 0.0
+                assert one(space, (1.0 - t) * a + t * b) >= 0.0
     elif options.propagate:
         assert outcome.final.node_cost == pytest.approx(outcome.final.stored_cost + 100.0 * intensity[-1])
 

@@ -11,7 +11,6 @@ import numpy as np
 
 from lime_planner.collision.joint_space import ArmSpace
 from lime_planner.core.errors import ParameterError
-from lime_planner.core.jit import kernel
 from lime_planner.core.parameters import Settings, settings_from
 from lime_planner.core.types import Array
 from lime_planner.experiments.lime.scenes import LimeScene, find_scenes
@@ -167,21 +166,16 @@ def box_of(robot_name: str, goals: Array, choices: Choices) -> tuple[Array, Arra
     return np.maximum(low, robot.lower), np.minimum(high, robot.upper)
 
 
-@kernel
-def _repel(space: Any, q: Any, d_star: float, k_leaf: float, k_stem: float, force: Any) -> Any:
-    return repulsion(space, q, d_star, k_leaf, k_stem, force)
-
-
 def fcl_space(obstacles: Obstacles, lower: Array, upper: Array) -> FunctionSpace:
     """The arm's joint space with collisions by FCL, as the paper has them: Python functions, undecimated meshes.
 
     The field's force is the fast model's, since FCL gives no gradient; whether the arm touches leaves is FCL's answer there too.
     """
     checker = obstacles.exact_checker()
-    fast = obstacles.space(lower, upper)
+    fast = obstacles.space(lower, upper).handle()
 
     def field(q: Array, force: Array, d_star: float, k_leaf: float, k_stem: float) -> float:
-        nearest = float(_repel(fast, np.array(q), d_star, k_leaf, k_stem, force))
+        nearest = float(repulsion(fast, np.array(q), d_star, k_leaf, k_stem, force))
         return 0.0 if checker.leaf_contact(q) else max(nearest, 1e-4)
 
     return function_space(

@@ -35,7 +35,7 @@ class PlaneOptimum:
 
 
 @kernel
-def _edge_cost(space: Any, a: Any, b: Any, weight: float) -> float:
+def _edge_cost(space: Any, a: Any, b: Any, weight: float) -> Any:
     return edge(space, a, b, weight, np.inf)
 
 
@@ -97,7 +97,7 @@ def _crossings(segments: Array) -> Array:
 
 
 def _search(world: PlaneWorld, weight: float, points: Array) -> tuple[float, Array]:
-    space = world.space()
+    space = world.space().handle()
     points = points[((points >= world.lower) & (points <= world.upper)).all(axis=1)]
     points = np.concatenate([[world.start, world.goal], np.unique(points.round(12), axis=0)])
     allowed = np.zeros(len(points), dtype=np.bool_)
@@ -161,4 +161,4 @@ def plane_optimum(world: PlaneWorld, weight: float, *, spacing: float = 1.0, rou
 
 def straight_cost(world: PlaneWorld, weight: float) -> float:
     """Return J of the straight line from start to goal, inf where it is blocked."""
-    return float(_edge_cost(world.space(), np.array(world.start), np.array(world.goal), weight))
+    return float(_edge_cost(world.space().handle(), np.array(world.start), np.array(world.goal), weight))

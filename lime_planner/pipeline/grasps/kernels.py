@@ -365,7 +365,7 @@ def look_at(
 
 
 @kernel
-def price(space: Any, nodes: Any, count: int, weight: float, bound: float) -> float:
+def price(space: Any, nodes: Any, count: int, weight: float, bound: float) -> Any:
     """J of a stretch over its first `count` nodes, certified along every edge; inf where it is blocked, more than `bound` where dearer."""
     total = 0.0
     for k in range(count - 1, 0, -1):

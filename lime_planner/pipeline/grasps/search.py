@@ -71,9 +71,9 @@ class _Trials:
         self.rows = 1 + (max(1, int(np.ceil(self.length_m / STEP_M - 1e-9))) if self.length_m > 0.0 else 0)
         self.weight = 0.0 if settings.leaf_policy == "ignored" else settings.weight
         self.lower, self.upper = joint_window(robot, q_start)
-        self.space = obstacles.space(self.lower, self.upper)
+        self.space = obstacles.space(self.lower, self.upper).handle()
         self.close_world = obstacles.with_margin(min(MODEL_ERROR_M, obstacles.world.margin))
-        self.close_space = self.close_world.space(self.lower, self.upper)
+        self.close_space = self.close_world.space(self.lower, self.upper).handle()
         self.scratch, self.state = make_scratch(obstacles.shapes, obstacles.world.fields), make_state(obstacles.shapes)
         self.memory = kernels.make_memory(robot.n)
         self.poses, self.outcomes = np.zeros((0, 4, 4)), np.zeros(0, np.int64)

@@ -152,9 +152,10 @@ def plan_lime(
     if iterations is None and deadline_s is None and should_stop is None:
         raise ProblemError("give iterations, deadline_s or should_stop: the search has no end of its own")
     before = np.array(space.counters)
-    if one(space, q_start) < 0.0:
+    handle = space.handle()
+    if one(handle, q_start) < 0.0:
         return LimeOutcome(None, math.inf, Status.START_INVALID, 0, 0, 0, math.nan, np.zeros((0, 3)))
-    leaf = np.array([one(space, g) for g in q_goals])
+    leaf = np.array([one(handle, g) for g in q_goals])
     if not (leaf >= 0.0).any():
         return LimeOutcome(None, math.inf, Status.GOAL_IN_STEM, 0, 0, 0, math.nan, np.zeros((0, 3)))
     ended: list[Status] = []
@@ -170,7 +171,7 @@ def plan_lime(
 
     run = Run(space, q_start, q_goals[leaf >= 0.0], terminal[leaf >= 0.0], options, seed, iterations, over, began)
     if options.weight > 0.0:  # otherwise leaves are air
-        run.start_leaf, run.goal_leaf = float(one(space, q_start)), leaf[leaf >= 0.0]
+        run.start_leaf, run.goal_leaf = one(handle, q_start), leaf[leaf >= 0.0]
     _search(run)
     status = ended[0]
     if run.best_path is not None and status in (Status.NO_PATH, Status.TIMED_OUT):
@@ -198,7 +199,7 @@ def warm_up(space: Any) -> None:
     run.goal_leaf[0] = 1.0
     run.look_for_ways_out()
     run.use_ways_out()
-    graph.add_known(space, run.road, middle, 0, 1.0)  # without leaves no way out costs anything, and none is kept
+    graph.add_known(run.space, run.road, middle, 0, 1.0)  # without leaves no way out costs anything, and none is kept
 
 
 def _search(run: Run) -> None:

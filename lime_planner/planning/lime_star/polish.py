@@ -124,7 +124,7 @@ def _perturb(space: Any, centre: Any, step: float, random: Any, out: Any) -> boo
         if only >= n or only == k:
             out[k] += step * normal(random)
     clamp(space, out)
-    return evaluate(space, out) >= 0.0
+    return bool(evaluate(space, out) >= 0.0)
 
 
 @kernel

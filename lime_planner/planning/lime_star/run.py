@@ -83,11 +83,11 @@ class Run:
         """
         self.began = time.monotonic() if began is None else began
         n = len(start)
-        self.space, self.start, self.options = space, start, options
+        self.space, self.start, self.options = space.handle(), start, options
         self.goals, self.terminal = goals, terminal
         self.goal_leaf = np.zeros(len(goals))
         self.start_leaf = 0.0
-        self.leafless = space._replace(own_leaves=False) if hasattr(space, "own_leaves") else space
+        self.leafless = space._replace(own_leaves=False).handle() if hasattr(space, "own_leaves") else self.space
         self.random = random_state(seed)
         diagonal = float(np.linalg.norm(np.asarray(space.upper) - np.asarray(space.lower)))
         self.least, self.most = options.least_step * diagonal, options.most_step * diagonal

@@ -50,12 +50,6 @@ class Scratch(NamedTuple):
 
 
 @hot_kernel
-def evaluate_one(space: Any, q: Any) -> Any:
-    """Evaluate one configuration, callable from Python."""
-    return evaluate(space, q)
-
-
-@hot_kernel
 def extend(space: Any, field: Any, rules: Any, goals: Any, q_near: Any, q_rand: Any, reach: float, scratch: Any) -> Any:
     """Write q_new to `scratch.new` (algorithm 1, line 5); False where there is no direction to go.
 

@@ -22,6 +22,7 @@ from lime_planner.planning.rrt_star import kernels
 from lime_planner.planning.rrt_star.options import PaperOptions
 from lime_planner.planning.rrt_star.potential_field import Field, farthest_corner
 from lime_planner.planning.rrt_star.tree import Tree, add_node, enlarged, new_tree, trace
+from lime_planner.planning.space import one
 
 __all__ = ["PaperOptions", "PaperOutcome", "Snapshot", "plan_paper"]
 
@@ -102,7 +103,8 @@ class _Run:
         self, space: Any, start: Array, goals: Array, terminal: Array, options: PaperOptions, rng: np.random.Generator, capacity: int
     ) -> None:
         n = len(space.lower)
-        self.space, self.goals, self.terminal, self.options, self.rng = space, goals, terminal, options, rng
+        self.space, self.given, self.options, self.rng = space.handle(), space, options, rng
+        self.goals, self.terminal = goals, terminal
         self.lower, self.width = np.asarray(space.lower), np.asarray(space.upper) - np.asarray(space.lower)
         self.rules = options.rules()
         self.field = Field(
@@ -120,12 +122,12 @@ class _Run:
         add_node(self.tree, start, max(self.state(start), 0.0), -1, 0.0)
         # Compile (or load) everything before the clock starts.
         self.grow(0)
-        kernels.best_goal(space, self.rules, goals[:0], terminal[:0], self.tree)
-        kernels.measure(space, np.empty((0, n)), 1.0)
+        kernels.best_goal(self.space, self.rules, goals[:0], terminal[:0], self.tree)
+        kernels.measure(self.space, np.empty((0, n)), 1.0)
         self.began_s = time.monotonic()
 
     def state(self, q: Array) -> float:
-        return float(kernels.evaluate_one(self.space, q))
+        return one(self.space, q)
 
     def elapsed_s(self) -> float:
         return time.monotonic() - self.began_s
@@ -142,7 +144,7 @@ class _Run:
             towards = uniform[:, n] < self.options.goal_bias
             samples[towards] = self.goals[(uniform[towards, n + 1] * len(self.goals)).astype(int)]
         kernels.grow(self.space, self.field, self.rules, self.goals, self.tree, samples, self.scratch)
-        if (pending := getattr(self.space, "raise_pending", None)) is not None:
+        if (pending := getattr(self.given, "raise_pending", None)) is not None:
             pending()  # an exception inside a caller's own function
         self.iterations += count
 
@@ -208,7 +210,8 @@ def plan_paper(
 
     counters_before = np.array(space.counters)
     capacity = min(iterations if iterations is not None else 2000, 20_000) + 1
-    valid = np.array([kernels.evaluate_one(space, g) >= 0.0 for g in goal_array])
+    handle = space.handle()
+    valid = np.array([one(handle, g) >= 0.0 for g in goal_array])
     used = valid if valid.any() else np.ones(len(goal_array), dtype=bool)
     run = _Run(space, starts[0], goal_array[used], terminal[used], options, generator, capacity)
     if run.state(starts[0]) < 0.0:

@@ -11,9 +11,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from lime_planner.core.jit import hot_kernel, overload
+from lime_planner.core.jit import hot_kernel
 from lime_planner.core.types import Array, Int32, Int64
-from lime_planner.planning.space import distance
+from lime_planner.planning.space import distance, own_distance
 
 _BLOCK = 256  # nodes whose distances are computed together, in vector instructions
 
@@ -190,81 +190,51 @@ def _block_minimum(squared: Any, count: int) -> float:
     return min(min(low0, low1), min(low2, low3))
 
 
-def nearest(space: Any, tree: Tree, q: Array) -> tuple[int, float]:
-    """Return the nearest node and its distance (compiled only; the first of several)."""
-    raise NotImplementedError("only inside compiled code")
-
-
-def neighbours(space: Any, tree: Tree, q: Array, radius: float, slack: float) -> int:
-    """Write all nodes with distance² <= radius² + slack and their distances to `tree.found*`; return their number (compiled only)."""
-    raise NotImplementedError("only inside compiled code")
-
-
-def _has_own_distance(space: Any) -> bool:
-    return bool(getattr(getattr(space, "instance_class", None), "own_distance", False))
-
-
-@overload(nearest)
-def _nearest(space: Any, tree: Any, q: Any) -> Any:
-    if _has_own_distance(space):
-
-        def by_function(space: Any, tree: Any, q: Any) -> Any:
-            best, best_distance = 0, np.inf
-            for j in range(tree.size[0]):
-                d = distance(space, tree.rows[j], q)
-                if d < best_distance:
-                    best, best_distance = j, d
-            return best, best_distance
-
-        return by_function
-
-    def by_scan(space: Any, tree: Any, q: Any) -> Any:
-        size = tree.size[0]
-        best, best_squared = 0, np.inf
-        for first in range(0, size, _BLOCK):
-            count = min(_BLOCK, size - first)
-            _squared_block(tree, q, first, count)
-            smallest = _block_minimum(tree.squared, count)
-            if smallest < best_squared:
-                best_squared = smallest
-                for j in range(np.uint64(count)):
-                    if tree.squared[j] == smallest:
-                        best = first + j
-                        break
-        return best, np.sqrt(best_squared)
-
-    return by_scan
-
-
-@overload(neighbours)
-def _neighbours(space: Any, tree: Any, q: Any, radius: Any, slack: Any) -> Any:
-    if _has_own_distance(space):
-
-        def by_function(space: Any, tree: Any, q: Any, radius: Any, slack: Any) -> Any:
-            found = 0
-            limit = radius * radius + slack
-            for j in range(tree.size[0]):
-                d = distance(space, tree.rows[j], q)
-                if d * d <= limit:
-                    tree.found[found] = j
-                    tree.found_distance[found] = d
-                    found += 1
-            return found
-
-        return by_function
-
-    def by_scan(space: Any, tree: Any, q: Any, radius: Any, slack: Any) -> Any:
-        size = tree.size[0]
-        limit = radius * radius + slack
-        found = 0
-        for first in range(0, size, _BLOCK):
-            count = min(_BLOCK, size - first)
-            _squared_block(tree, q, first, count)
+@hot_kernel
+def nearest(space: Any, tree: Any, q: Any) -> tuple[int, float]:
+    """Return the nearest node and its distance (the first of several)."""
+    size = tree.size[0]
+    best, best_squared = 0, np.inf
+    if own_distance(space):
+        best_distance = np.inf
+        for j in range(size):
+            d = distance(space, tree.rows[j], q)
+            if d < best_distance:
+                best, best_distance = j, d
+        return best, best_distance
+    for first in range(0, size, _BLOCK):
+        count = min(_BLOCK, size - first)
+        _squared_block(tree, q, first, count)
+        smallest = _block_minimum(tree.squared, count)
+        if smallest < best_squared:
+            best_squared = smallest
             for j in range(np.uint64(count)):
-                if tree.squared[j] <= limit:
-                    tree.found[found] = first + np.int64(j)
-                    tree.found_distance[found] = np.sqrt(tree.squared[j])
-                    found += 1
-        return found
+                if tree.squared[j] == smallest:
+                    best = first + j
+                    break
+    return best, np.sqrt(best_squared)
 
-    return by_scan
+
+@hot_kernel
+def neighbours(space: Any, tree: Any, q: Any, radius: float, slack: float) -> int:
+    """Write all nodes with distance² <= radius² + slack and their distances to `tree.found*`; return their number."""
+    size = tree.size[0]
+    limit = radius * radius + slack
+    found = 0
+    if own_distance(space):
+        for j in range(size):
+            d = distance(space, tree.rows[j], q)
+            if d * d <= limit:
+                tree.found[found] = j
+                tree.found_distance[found] = d
+                found += 1
+        return found
+    for first in range(0, size, _BLOCK):
+        count = min(_BLOCK, size - first)
+        _squared_block(tree, q, first, count)
+        for j in range(np.uint64(count)):
+            if tree.squared[j] <= limit:
+                tree.found[found] = first + np.int64(j)
+                tree.found_distance[found] = np.sqrt(tree.squared[j])
+                found += 1
+    return found

@@ -9,20 +9,21 @@ Compiled planners call the functions through their addresses, so that one compil
 from __future__ import annotations
 
 import ctypes
+import functools
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
+import numba
 import numba.core.types as nt
 import numpy as np
 import numpy.typing as npt
-from llvmlite import ir  # type: ignore[import-untyped]
-from numba.extending import intrinsic
 
+from lime_planner.core.c_structures import address_of, caller, reader, vector
 from lime_planner.core.errors import ProblemError
-from lime_planner.core.jit import overload
+from lime_planner.core.jit import hot_kernel
 from lime_planner.core.types import Array, Int64
 from lime_planner.planning.prices import stretch_cost
-from lime_planner.planning.space import N_EDGE_STATES, N_EDGES, N_STATES, distance, edge, evaluate, is_space, repulsion
+from lime_planner.planning.space import N_EDGE_STATES, N_EDGES, N_STATES, SpaceFunctions, SpaceHandle, make_handle, space_functions
 
 _VALID, _COST, _DISTANCE, _FIELD = range(4)
 
@@ -91,6 +92,10 @@ class FunctionSpace(NamedTuple):
     edge_step: float
     scratch: Array
 
+    def handle(self) -> SpaceHandle:
+        """The space as planners take it."""
+        return make_handle(self, _functions(bool(self.addresses[_DISTANCE])), _type())
+
     def raise_pending(self) -> None:
         """Raise the exception that one of the functions raised while compiled code called it, if any."""
         callbacks: Any = self.addresses.base
@@ -99,9 +104,6 @@ class FunctionSpace(NamedTuple):
         if isinstance(callbacks, _Callbacks) and callbacks.error is not None:
             error, callbacks.error = callbacks.error, None
             raise error
-
-
-FunctionSpace.own_distance = True  # type: ignore[attr-defined]  # `lime_planner.planning.space.distance` is asked, not assumed
 
 
 def function_space(
@@ -151,105 +153,88 @@ def function_space(
     return FunctionSpace(low, high, np.zeros(8, dtype=np.int64), addresses, step, np.empty(len(low)))
 
 
-def _calling(kinds: str) -> Any:
-    """Return the code of an intrinsic f(address, *arguments): each kind is p (pointer, given as int64), d (double) or i (int64)."""
-
-    def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
-        types = {"p": ir.DoubleType().as_pointer(), "d": ir.DoubleType(), "i": ir.IntType(64)}
-        arguments = [builder.inttoptr(v, types["p"]) if kind == "p" else v for kind, v in zip(kinds, values[1:], strict=True)]
-        function_type = ir.FunctionType(ir.DoubleType(), [types[kind] for kind in kinds])
-        return builder.call(builder.inttoptr(values[0], function_type.as_pointer()), arguments)
-
-    return generate
+_call_one = caller(nt.float64, "ii")
+_call_two = caller(nt.float64, "iii")
+_call_field = caller(nt.float64, "iidddi")
 
 
-@intrinsic
-def _call_one(typing_context: Any, address: Any, q: Any, n: Any) -> Any:
-    return nt.float64(nt.int64, nt.int64, nt.int64), _calling("pi")
+@hot_kernel
+def _function_distance(space: Any, a: Any, b: Any) -> Any:
+    if space.addresses[_DISTANCE] != 0:
+        return _call_two(space.addresses[_DISTANCE], address_of(a), address_of(b), a.shape[0])
+    total = 0.0
+    for i in range(a.shape[0]):
+        total += (a[i] - b[i]) ** 2
+    return np.sqrt(total)
 
 
-@intrinsic
-def _call_two(typing_context: Any, address: Any, a: Any, b: Any, n: Any) -> Any:
-    return nt.float64(nt.int64, nt.int64, nt.int64, nt.int64), _calling("ppi")
-
-
-@intrinsic
-def _call_field(typing_context: Any, address: Any, q: Any, force: Any, d_star: Any, k_leaf: Any, k_stem: Any, n: Any) -> Any:
-    return nt.float64(nt.int64, nt.int64, nt.int64, nt.float64, nt.float64, nt.float64, nt.int64), _calling("ppdddi")
-
-
-@overload(distance)
-def _distance(space: Any, a: Any, b: Any) -> Any:
-    if not is_space(space, FunctionSpace):
-        return None
-
-    def implementation(space: Any, a: Any, b: Any) -> Any:
-        if space.addresses[_DISTANCE] != 0:
-            return _call_two(space.addresses[_DISTANCE], a.ctypes.data, b.ctypes.data, a.shape[0])
-        total = 0.0
-        for i in range(a.shape[0]):
-            total += (a[i] - b[i]) ** 2
-        return np.sqrt(total)
-
-    return implementation
-
-
-@overload(evaluate)
-def _evaluate(space: Any, q: Any) -> Any:
-    if not is_space(space, FunctionSpace):
-        return None
-
-    def implementation(space: Any, q: Any) -> Any:
-        space.counters[N_STATES] += 1
-        for i in range(q.shape[0]):
-            if not (space.lower[i] <= q[i] <= space.upper[i]):
-                return -1.0
-        if not _call_one(space.addresses[_VALID], q.ctypes.data, q.shape[0]) > 0.0:
+@hot_kernel
+def _function_evaluate(space: Any, q: Any) -> Any:
+    space.counters[N_STATES] += 1
+    for i in range(q.shape[0]):
+        if not (space.lower[i] <= q[i] <= space.upper[i]):
             return -1.0
-        if space.addresses[_COST] == 0:
-            return 0.0
-        return max(0.0, _call_one(space.addresses[_COST], q.ctypes.data, q.shape[0]))
-
-    return implementation
-
-
-@overload(edge)
-def _edge(space: Any, a: Any, b: Any, weight: Any, bound: Any) -> Any:
-    if not is_space(space, FunctionSpace):
-        return None
-
-    def implementation(space: Any, a: Any, b: Any, weight: Any, bound: Any) -> Any:
-        space.counters[N_EDGES] += 1
-        length = distance(space, a, b)
-        if length > bound:
-            return length
-        pieces = max(1, int(np.ceil(length / space.edge_step)))
-        leaf = 0.0
-        q = space.scratch
-        for piece in range(pieces):  # the middles of equal pieces: the same configurations in both directions
-            t = (piece + 0.5) / pieces
-            for i in range(a.shape[0]):
-                q[i] = (1.0 - t) * a[i] + t * b[i]
-            space.counters[N_EDGE_STATES] += 1
-            intensity = evaluate(space, q)
-            if intensity < 0.0:
-                return np.inf
-            leaf += intensity
-            if stretch_cost(length, weight, length * leaf / pieces) > bound:
-                break
-        return stretch_cost(length, weight, length * leaf / pieces)
-
-    return implementation
+    if not _call_one(space.addresses[_VALID], address_of(q), q.shape[0]) > 0.0:
+        return -1.0
+    if space.addresses[_COST] == 0:
+        return 0.0
+    return max(0.0, _call_one(space.addresses[_COST], address_of(q), q.shape[0]))
 
 
-@overload(repulsion)
-def _repulsion(space: Any, q: Any, d_star: Any, k_leaf: Any, k_stem: Any, force: Any) -> Any:
-    if not is_space(space, FunctionSpace):
-        return None
-
-    def implementation(space: Any, q: Any, d_star: Any, k_leaf: Any, k_stem: Any, force: Any) -> Any:
-        if space.addresses[_FIELD] == 0:
+@hot_kernel
+def _function_edge(space: Any, a: Any, b: Any, weight: Any, bound: Any) -> Any:
+    space.counters[N_EDGES] += 1
+    length = _function_distance(space, a, b)
+    if length > bound:
+        return length
+    pieces = max(1, int(np.ceil(length / space.edge_step)))
+    leaf = 0.0
+    q = space.scratch
+    for piece in range(pieces):  # the middles of equal pieces: the same configurations in both directions
+        t = (piece + 0.5) / pieces
+        for i in range(a.shape[0]):
+            q[i] = (1.0 - t) * a[i] + t * b[i]
+        space.counters[N_EDGE_STATES] += 1
+        intensity = _function_evaluate(space, q)
+        if intensity < 0.0:
             return np.inf
-        return _call_field(space.addresses[_FIELD], q.ctypes.data, force.ctypes.data, d_star, k_leaf, k_stem, q.shape[0])
+        leaf += intensity
+        if stretch_cost(length, weight, length * leaf / pieces) > bound:
+            break
+    return stretch_cost(length, weight, length * leaf / pieces)
 
-    return implementation
+
+@hot_kernel
+def _function_repulsion(space: Any, q: Any, d_star: Any, k_leaf: Any, k_stem: Any, force: Any) -> Any:
+    if space.addresses[_FIELD] == 0:
+        return np.inf
+    return _call_field(space.addresses[_FIELD], address_of(q), address_of(force), d_star, k_leaf, k_stem, q.shape[0])
+
+
+@functools.cache
+def _type() -> Any:
+    return numba.typeof(FunctionSpace(np.zeros(0), np.zeros(0), np.zeros(0, np.int64), np.zeros(0, np.int64), 1.0, np.zeros(0)))
+
+
+_read = reader(_type)
+
+
+def _evaluate_at(structure: Any, q: Any, n: Any) -> Any:
+    return _function_evaluate(_read(structure), vector(q, n))
+
+
+def _edge_at(structure: Any, a: Any, b: Any, n: Any, weight: Any, bound: Any) -> Any:
+    return _function_edge(_read(structure), vector(a, n), vector(b, n), weight, bound)
+
+
+def _repulsion_at(structure: Any, q: Any, n: Any, d_star: Any, k_leaf: Any, k_stem: Any, force: Any) -> Any:
+    return _function_repulsion(_read(structure), vector(q, n), d_star, k_leaf, k_stem, vector(force, n))
+
+
+def _distance_at(structure: Any, a: Any, b: Any, n: Any) -> Any:
+    return _function_distance(_read(structure), vector(a, n), vector(b, n))
+
+
+@functools.cache
+def _functions(own_distance: bool) -> SpaceFunctions:
+    return space_functions(_evaluate_at, _edge_at, _repulsion_at, _distance_at if own_distance else None)

@@ -7,15 +7,18 @@ charged once.
 
 from __future__ import annotations
 
+import functools
 from typing import Any, NamedTuple
 
+import numba
 import numpy as np
 import numpy.typing as npt
 
-from lime_planner.core.jit import hot_kernel, overload
+from lime_planner.core.c_structures import reader, vector
+from lime_planner.core.jit import hot_kernel
 from lime_planner.core.types import Array, Int64, UInt8
 from lime_planner.planning.prices import stretch_cost
-from lime_planner.planning.space import N_EDGE_STATES, N_EDGES, N_STATES, edge, evaluate, is_space, repulsion
+from lime_planner.planning.space import N_EDGE_STATES, N_EDGES, N_STATES, SpaceFunctions, SpaceHandle, make_handle, space_functions
 
 PERMEABLE, IMPERMEABLE = 0, 1
 _TOUCH = 1e-9  # a point this close to an outline lies on it [map units]
@@ -45,6 +48,10 @@ class PlaneSpace(NamedTuple):
     prices: Array
     boxes: Array
     scratch: Array
+
+    def handle(self) -> SpaceHandle:
+        """The space as planners take it."""
+        return make_handle(self, _functions(), _type())
 
 
 @hot_kernel
@@ -139,49 +146,37 @@ def _cuts(space: Any, a: Any, b: Any) -> int:
     return count + 1
 
 
-@overload(evaluate)
-def _evaluate(space: Any, q: Any) -> Any:
-    if not is_space(space, PlaneSpace):
-        return None
-
-    def implementation(space: Any, q: Any) -> Any:
-        space.counters[N_STATES] += 1
-        x, y = q[0], q[1]
-        # Written so that NaN is outside of the map.
-        if not (space.lower[0] <= x <= space.upper[0] and space.lower[1] <= y <= space.upper[1]):
-            return -1.0
-        if inside_kind(space, IMPERMEABLE, x, y):
-            return -1.0
-        return _price(space, x, y)
-
-    return implementation
+@hot_kernel
+def _plane_evaluate(space: Any, q: Any) -> Any:
+    space.counters[N_STATES] += 1
+    x, y = q[0], q[1]
+    # Written so that NaN is outside of the map.
+    if not (space.lower[0] <= x <= space.upper[0] and space.lower[1] <= y <= space.upper[1]):
+        return -1.0
+    if inside_kind(space, IMPERMEABLE, x, y):
+        return -1.0
+    return _price(space, x, y)
 
 
-@overload(edge)
-def _edge(space: Any, a: Any, b: Any, weight: Any, bound: Any) -> Any:
-    if not is_space(space, PlaneSpace):
-        return None
-
-    def implementation(space: Any, a: Any, b: Any, weight: Any, bound: Any) -> Any:
-        space.counters[N_EDGES] += 1
-        dx, dy = b[0] - a[0], b[1] - a[1]
-        length = np.sqrt(dx * dx + dy * dy)
-        if length == 0.0 or length > bound:
-            return length
-        count = _cuts(space, a, b)
-        space.counters[N_EDGE_STATES] += count - 1
-        leaf = 0.0
-        for i in range(1, count):
-            t0, t1 = space.scratch[i - 1], space.scratch[i]
-            if t1 > t0:
-                t = 0.5 * (t0 + t1)
-                x, y = a[0] + t * dx, a[1] + t * dy
-                if inside_kind(space, IMPERMEABLE, x, y):
-                    return np.inf
-                leaf += _price(space, x, y) * (t1 - t0)
-        return stretch_cost(length, weight * length, leaf) if leaf > 0.0 else length
-
-    return implementation
+@hot_kernel
+def _plane_edge(space: Any, a: Any, b: Any, weight: Any, bound: Any) -> Any:
+    space.counters[N_EDGES] += 1
+    dx, dy = b[0] - a[0], b[1] - a[1]
+    length = np.sqrt(dx * dx + dy * dy)
+    if length == 0.0 or length > bound:
+        return length
+    count = _cuts(space, a, b)
+    space.counters[N_EDGE_STATES] += count - 1
+    leaf = 0.0
+    for i in range(1, count):
+        t0, t1 = space.scratch[i - 1], space.scratch[i]
+        if t1 > t0:
+            t = 0.5 * (t0 + t1)
+            x, y = a[0] + t * dx, a[1] + t * dy
+            if inside_kind(space, IMPERMEABLE, x, y):
+                return np.inf
+            leaf += _price(space, x, y) * (t1 - t0)
+    return stretch_cost(length, weight * length, leaf) if leaf > 0.0 else length
 
 
 @hot_kernel
@@ -212,24 +207,44 @@ def _nearest_boundary(space: Any, kind: int, x: float, y: float) -> tuple[float,
     return np.sqrt(best), best_x, best_y
 
 
-@overload(repulsion)
-def _repulsion(space: Any, q: Any, d_star: Any, k_leaf: Any, k_stem: Any, force: Any) -> Any:
-    if not is_space(space, PlaneSpace):
-        return None
+@hot_kernel
+def _plane_repulsion(space: Any, q: Any, d_star: Any, k_leaf: Any, k_stem: Any, force: Any) -> Any:
+    smallest = np.inf
+    for kind in range(2):
+        if inside_kind(space, kind, q[0], q[1]):
+            smallest = 0.0
+            continue
+        d, x, y = _nearest_boundary(space, kind, q[0], q[1])
+        smallest = min(smallest, d)
+        if 0.0 < d <= d_star:
+            gain = k_leaf if kind == PERMEABLE else k_stem
+            push = gain * (1.0 / d - 1.0 / d_star) / (d * d * d)  # -dU_rep/dd along the unit vector away from the outline
+            force[0] += push * (q[0] - x)
+            force[1] += push * (q[1] - y)
+    return smallest
 
-    def implementation(space: Any, q: Any, d_star: Any, k_leaf: Any, k_stem: Any, force: Any) -> Any:
-        smallest = np.inf
-        for kind in range(2):
-            if inside_kind(space, kind, q[0], q[1]):
-                smallest = 0.0
-                continue
-            d, x, y = _nearest_boundary(space, kind, q[0], q[1])
-            smallest = min(smallest, d)
-            if 0.0 < d <= d_star:
-                gain = k_leaf if kind == PERMEABLE else k_stem
-                push = gain * (1.0 / d - 1.0 / d_star) / (d * d * d)  # -dU_rep/dd along the unit vector away from the outline
-                force[0] += push * (q[0] - x)
-                force[1] += push * (q[1] - y)
-        return smallest
 
-    return implementation
+@functools.cache
+def _type() -> Any:
+    whole, real, rows = np.zeros(0, np.int64), np.zeros(0), np.zeros((0, 2))
+    return numba.typeof(PlaneSpace(real, real, whole, rows, whole, np.zeros(0, np.uint8), real, rows, real))
+
+
+_read = reader(_type)
+
+
+def _evaluate_at(structure: Any, q: Any, n: Any) -> Any:
+    return _plane_evaluate(_read(structure), vector(q, n))
+
+
+def _edge_at(structure: Any, a: Any, b: Any, n: Any, weight: Any, bound: Any) -> Any:
+    return _plane_edge(_read(structure), vector(a, n), vector(b, n), weight, bound)
+
+
+def _repulsion_at(structure: Any, q: Any, n: Any, d_star: Any, k_leaf: Any, k_stem: Any, force: Any) -> Any:
+    return _plane_repulsion(_read(structure), vector(q, n), d_star, k_leaf, k_stem, vector(force, n))
+
+
+@functools.cache
+def _functions() -> SpaceFunctions:
+    return space_functions(_evaluate_at, _edge_at, _repulsion_at)

@@ -1,0 +1,137 @@
+"""Tuples of arrays as C structures in memory, so that compiled functions can be called by address and given one pointer.
+
+Numba compiles a function anew for every type of its arguments, and passes a tuple of arrays by value: seven numbers for each array. A
+function that takes the address of a structure is compiled once, its callers pass one number, and it reads the tuple back.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable
+from typing import Any
+
+import numba
+import numba.core.types as nt
+import numpy as np
+from llvmlite import ir  # type: ignore[import-untyped]
+from numba.core import cgutils
+from numba.core.registry import cpu_target
+from numba.extending import intrinsic
+from numba.np.arrayobj import populate_array
+
+from lime_planner.core.types import UInt8
+
+
+def _store(numba_type: Any, value: Any, memory: UInt8, at: int) -> None:
+    context = cpu_target.target_context
+    if isinstance(numba_type, nt.Array):
+        # meminfo, parent (none: compiled code holds no references), items, item size, data, shape, strides
+        words = (0, 0, value.size, value.itemsize, value.ctypes.data, *value.shape, *value.strides)
+        memory[at : at + 8 * len(words)] = np.frombuffer(struct.pack(f"{len(words)}q", *words), np.uint8)
+        return
+    if isinstance(numba_type, nt.BaseTuple):
+        layout = context.get_value_type(numba_type)
+        uniform = isinstance(numba_type, nt.UniTuple | nt.NamedUniTuple)
+        for i, (part_type, part) in enumerate(zip(numba_type.types, value, strict=True)):
+            size = context.get_abi_sizeof(context.get_value_type(part_type))
+            _store(part_type, part, memory, at + (i * size if uniform else layout.get_element_offset(context.target_data, i)))
+        return
+    formats = {nt.int64: "q", nt.float64: "d", nt.boolean: "?"}
+    if numba_type not in formats:
+        raise TypeError(f"a {numba_type} has no place in a structure")
+    content = struct.pack(formats[numba_type], value)
+    memory[at : at + len(content)] = np.frombuffer(content, np.uint8)
+
+
+def to_memory(value: Any, expected: Any) -> UInt8:
+    """Write a named tuple of arrays, numbers and such tuples as the structure that compiled code has for it.
+
+    Args:
+        value: the tuple. What its arrays point to must stay alive as long as the structure is used.
+        expected: its compile-time type, as the reader of the structure expects it.
+
+    Returns:
+        The structure's bytes; their address is `.ctypes.data`.
+
+    Raises:
+        TypeError: the tuple has another type (a defect).
+    """
+    given = numba.typeof(value)
+    if given != expected:
+        pairs = zip(type(value)._fields, given.types, expected.types, strict=True)
+        raise TypeError("; ".join(f"{name}: {a} instead of {b}" for name, a, b in pairs if a != b) or f"{given} instead of {expected}")
+    context = cpu_target.target_context
+    size = context.get_abi_sizeof(context.get_value_type(expected))
+    memory = np.zeros(size // 8 + 2, np.int64).view(np.uint8)  # aligned to 8 bytes, which is all that the parts need
+    _store(expected, value, memory, 0)
+    return memory
+
+
+def reader(type_of: Callable[[], Any]) -> Any:
+    """Return a function for compiled code that reads a structure from its address (int64).
+
+    Args:
+        type_of: gives the structure's compile-time type; asked when code is compiled.
+    """
+
+    @intrinsic
+    def read(typing_context: Any, address: Any) -> Any:
+        numba_type = type_of()
+
+        def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+            return builder.load(builder.inttoptr(values[0], context.get_value_type(numba_type).as_pointer()))
+
+        return numba_type(nt.int64), generate
+
+    return read
+
+
+def caller(result: Any, kinds: str) -> Any:
+    """Return a function for compiled code that calls a C function: f(address, *arguments).
+
+    Args:
+        result: compile-time type of what it returns, float64 or int64.
+        kinds: of the arguments, a letter each: d (float64) or i (int64, or an address).
+    """
+    types = {"d": ir.DoubleType(), "i": ir.IntType(64)}
+    given = tuple(nt.float64 if kind == "d" else nt.int64 for kind in kinds)
+    function_type = ir.FunctionType(types["d" if result == nt.float64 else "i"], [types[kind] for kind in kinds])
+
+    def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+        function = builder.inttoptr(values[0], function_type.as_pointer())
+        return builder.call(function, cgutils.unpack_tuple(builder, values[1]))
+
+    @intrinsic
+    def call(typing_context: Any, address: Any, *arguments: Any) -> Any:
+        return result(nt.int64, nt.StarArgTuple(given)), generate
+
+    return call
+
+
+@intrinsic
+def vector(typing_context: Any, address: Any, n: Any) -> Any:
+    """The n float64 numbers at an address, as an array (n,) for compiled code; their owner keeps them alive."""
+    array_type = nt.Array(nt.float64, 1, "C")
+
+    def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+        array = context.make_array(array_type)(context, builder)
+        data = builder.inttoptr(values[0], context.get_value_type(nt.float64).as_pointer())
+        size = context.get_constant(nt.intp, 8)
+        populate_array(array, data=data, shape=[values[1]], strides=[size], itemsize=size, meminfo=None)
+        return array._getvalue()
+
+    return array_type(nt.int64, nt.int64), generate
+
+
+@intrinsic
+def address_of(typing_context: Any, configuration: Any) -> Any:
+    """The address of a configuration's numbers, the inverse of `vector`: of a contiguous float64 array (n,), in compiled code."""
+    array_type = configuration
+    if not (isinstance(array_type, nt.Array) and array_type.layout == "C" and array_type.ndim == 1 and array_type.dtype == nt.float64):
+        raise numba.TypingError(f"a configuration must be a contiguous float64 array (n,), got {array_type}")
+
+    def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+        array = context.make_array(array_type)(context, builder, values[0])
+        return builder.ptrtoint(array.data, ir.IntType(64))
+
+    return nt.int64(array_type), generate
