@@ -47,7 +47,7 @@ def axis_error(pipeline: Pipeline, result: PlanResult) -> tuple[float, float]:
     assert result.trajectory is not None and result.T_base_tool is not None
     tools = np.array([pipeline.robot.forward(q) for q in result.trajectory.configurations(0.003)])
     way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(tools[:, :3, 3], axis=0), axis=1))])
-    last = tools[way[-1] - way < result.straight_approach_m]
+    last = tools[way[-1] - way <= result.straight_approach_m]  # the grasp itself at least
     offset, z = last[:, :3, 3] - result.T_base_tool[:3, 3], result.T_base_tool[:3, 2]
     aside = np.linalg.norm(offset - (offset @ z)[:, None] * z, axis=1)
     cosines = (np.einsum("kij,ij->k", last[:, :3, :3], result.T_base_tool[:3, :3]) - 1.0) / 2.0
