@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from lime_planner.scene.plants.grasp_targets import grasp_pose
     from lime_planner.scene.scene import Scene
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 __all__ = [
     "LimePlannerError",
