@@ -1,6 +1,6 @@
 """Tuples of arrays as C structures in memory, so that compiled functions can be called by address and given one pointer.
 
-Numba compiles a function anew for every type of its arguments, and passes a tuple of arrays by value: seven numbers for each array. A
+Numba compiles a function again for every type of its arguments, and passes a tuple of arrays by value: seven numbers for each array. A
 function that takes the address of a structure is compiled once, its callers pass one number, and it reads the tuple back.
 """
 

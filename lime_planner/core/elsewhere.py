@@ -23,14 +23,14 @@ T = TypeVar("T")
 
 _POLL_S = 0.02
 
-# Not multiprocessing's spawn, which would run the main module of whoever uses this package as a library once more.
+# Not multiprocessing's spawn, which would run the main module of a program that uses this package as a library once more.
 _CHILD = "import pickle, sys; sys.path[:] = pickle.load(sys.stdin.buffer); from lime_planner.core.elsewhere import _serve; _serve()"
 
 
 def call_elsewhere(function: Callable[..., T], *arguments: Any, should_stop: Callable[[], bool] = lambda: False) -> T:
     """Call a function in a process of its own and return what it returns.
 
-    From the main thread, which nobody waits for, it is called here.
+    From the main thread, which has no services to answer, it is called here.
 
     Args:
         function: of a module, not nested; it must not print.

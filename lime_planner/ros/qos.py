@@ -90,7 +90,7 @@ class AdaptiveSubscription:
         there = {tuple(info.endpoint_gid) for info in publishers}
         if there != self._publishers:
             if not there & self._publishers:
-                self._last_sent = 0  # nobody is left whose clock it was
+                self._last_sent = 0  # the publisher whose clock it was has gone
             self._publishers, self._last_number = there, 0
         self._keep("best effort", self._best_effort, any(is_best_effort(info.qos_profile) for info in publishers))
         latching = {tuple(info.endpoint_gid) for info in publishers if is_latched(info.qos_profile)}

@@ -30,7 +30,7 @@ from lime_planner.core.signals import EndSignals
 
 #: How long the spinning thread may take to come back from the callback it is in [s].
 JOIN_TIMEOUT_S = 5.0
-#: A process that has not ended this long after its signal says where it hangs and ends with code 1, so that it can be started anew [s].
+#: A process that has not ended this long after its signal says where it hangs and ends with code 1, so that it can be started again [s].
 END_TIMEOUT_S = 20.0
 
 _NUMBERS = re.compile(r"[-+0-9.]+")

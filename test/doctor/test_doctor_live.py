@@ -153,7 +153,7 @@ def test_a_running_planner(robot: Robot, shared: SharedListener, monkeypatch: py
         shared.listener.wait(lambda: len(shared.listener.planners()) == 1, 10.0)
         _, findings = doctor("--only", "live", "--wait", 1)
         assert_named(findings, "planner", "/lime_planner runs, but tells nothing on /diagnostics")
-        assert_named(findings, "controller", "nobody subscribes")  # where a planner runs, silence is a fault
+        assert_named(findings, "controller", "has no subscriber")  # where a planner runs, silence is a fault
         values = {"engine": "ready", "motion_enabled": False, "last_status": "", "leaf_cloud.refusal": "leaf_cloud has no field 'x'"}
         health = planner.create_publisher(DiagnosticArray, "/diagnostics", 10)
         shared.listener.wait(lambda: health.get_subscription_count() > 0, 10.0)
@@ -173,17 +173,17 @@ def test_a_running_planner(robot: Robot, shared: SharedListener, monkeypatch: py
 
 
 def test_planted_faults_of_the_graph(robot: Robot, doctor: Doctor, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """Another domain, topics elsewhere, a clock that nobody publishes."""
+    """Another domain, topics elsewhere, a clock without a publisher."""
     robot.heal()
     code, findings = doctor("--only", "live", "--live", "--wait", 0.3, "--namespace", "/left")
     assert code == 1
-    assert_named(findings, "joint_states", "nobody publishes /left/joint_states")
+    assert_named(findings, "joint_states", "/left/joint_states has no publisher")
     assert "/joint_states: --joint-states TOPIC" in findings["joint_states"]["cure"]
     assert "/leaf_cloud, /stem_cloud: --stem TOPIC" in findings["stem_cloud"]["cure"]
     parameters = tmp_path / "simulated.yaml"
     parameters.write_text("/**:\n  ros__parameters: {use_sim_time: true}\n")
     _, findings = doctor("--only", "live", "--wait", 0.3, "--params", parameters)
-    assert_named(findings, "clock", "nobody publishes /clock")
+    assert_named(findings, "clock", "/clock has no publisher")
     monkeypatch.setattr(live_checks, "_DISCOVERY_S", 0.2)
     monkeypatch.setenv("ROS_DOMAIN_ID", str(DOMAIN + 1))
     code, findings = doctor("--only", "live", "--live", "--wait", 0.3)

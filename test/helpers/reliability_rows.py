@@ -225,7 +225,7 @@ ROWS = (
     Row("~/retreat", "before any motion", lambda rig: rig.forget("motion"), "NOTHING_TO_EXECUTE", "no motion", service="retreat"),
     Row("~/stop", "when nothing moves", lambda rig: None, OK, "no motion was running", service="stop"),
     Row("~/plan", "while motion is disabled", lambda rig: None, "MOTION_DISABLED", "not sent", {"motion_enabled": False}),
-    Row("~/plan", "while no controller listens", lambda rig: rig.no_controller(), "NO_CONTROLLER", "nobody subscribes"),
+    Row("~/plan", "while no controller listens", lambda rig: rig.no_controller(), "NO_CONTROLLER", "has no subscriber"),
     Row("parameter", "time_budget_s = -1", parameter("time_budget_s", -1.0), "refused", "out of range Min: 0.01, Max: 600.0", service=""),
     Row("parameter", "time_budget_s = nan", parameter("time_budget_s", NAN), "refused", "out of range", service=""),
     Row("parameter", "time_budget_s = 'soon'", parameter("time_budget_s", "soon"), "refused", "must be a number", service=""),

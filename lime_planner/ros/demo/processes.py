@@ -1,4 +1,4 @@
-"""The demo's nodes as processes of their own: started in a corner of the ROS graph that nobody else uses, ended whatever happens."""
+"""The demo's nodes as processes of their own: started in a part of the ROS graph of their own, ended whatever happens."""
 
 from __future__ import annotations
 

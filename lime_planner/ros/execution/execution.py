@@ -101,7 +101,7 @@ class Execution:
         self._restless: Motion | None = None  # a motion that could not be seen to rest after its stop, until the arm is seen to
         #: What a retreat goes back along.
         self.way_out = WayOut()
-        #: How often somebody wanted the arm to stop and to stay: whoever would move it again by himself must look at this.
+        #: How often the arm was told to stop and to stay: what would move it again unasked must look at this.
         self.cancels = 0
 
     @property
@@ -170,7 +170,7 @@ class Execution:
             state = self._joints.fresh(node.max_joint_state_age_s, node.max_clock_skew_s)
             self._check_start(state.q, trajectory, node.start_tolerance_rad)
             if self._subscribers() == 0:
-                raise Refusal(Status.NO_CONTROLLER, "nobody subscribes to joint_trajectory")
+                raise Refusal(Status.NO_CONTROLLER, "joint_trajectory has no subscriber")
             if not commit():
                 return None
             self._publish(message)
@@ -227,7 +227,7 @@ class Execution:
         return True
 
     def _stop_again(self, stop: _Stop, sentence: str) -> None:
-        """Take in that somebody wants an arm to stay that is being stopped already."""
+        """Take in that an arm that is being stopped already is to stay."""
         node = stop.motion.snapshot.node
         if time.monotonic() > stop.over_s and self._joints.moving(node.stillness_time_s, node.stillness_rad):
             self._hold(node.controller)
@@ -259,7 +259,7 @@ class Execution:
                     if self._hold(node.controller)
                     else ""
                 )
-            if not node.motion_enabled:  # whoever has forbidden motions moves the arm by other means, or must stop it by them
+            if not node.motion_enabled:  # where motions are forbidden, the arm is moved by other means, or must be stopped by them
                 return "the arm moves, but not by this node, and no hold was sent, because motion_enabled is false"
             return "the arm moved, but not by this node: a hold was sent" if self._hold(node.controller) else ""
 

@@ -86,7 +86,7 @@ class JointHistory:
             self.foreign -= counted
             state = self._followed_up(state)
             if self._states and 0.0 < state.stamp_s < self._states[-1].stamp_s - CLOCK_JUMP_S:
-                self._states.clear()  # simulated time began anew: the stamps before mean nothing now
+                self._states.clear()  # simulated time began again: the stamps before mean nothing now
             self._states.append(state)
             while self._states and self._states[0].arrival_s < state.arrival_s - HISTORY_S:
                 self._states.popleft()
@@ -111,7 +111,7 @@ class JointHistory:
     def take_reported_turns(self) -> None:
         """Put the history on the turns that the newest message reported; only while nothing is compared with an older plan.
 
-        A driver that was switched off may count its turns anew; a motion must begin on the turn it reports.
+        A driver that was switched off may count its turns from zero again; a motion must begin on the turn it reports.
         """
         with self._condition:
             if self._added is None or self._before is None or not self._added.any():

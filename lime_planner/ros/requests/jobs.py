@@ -220,7 +220,7 @@ class Requests:
         self._arm(snapshot)
         if self._execution.active:
             self._source.scene(snapshot, ticket.should_stop)  # a request that cannot be served does not stop a good motion
-            if ticket.answered:  # nor does one that nobody waits for any more
+            if ticket.answered:  # nor does one that is not waited for any more
                 raise Refusal(Status.CANCELLED, "the request was answered before it began")
             self._execution.stop(Status.PREEMPTED, f"request {ticket.plan_id} ({ticket.kind}) took over")
         elif self._inputs.joints.still(node.stillness_time_s, node.stillness_rad):

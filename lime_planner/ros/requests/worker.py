@@ -1,6 +1,6 @@
 """One thread that works on one request at a time, the newest; every request is answered exactly once.
 
-A request is a `Ticket`. It is answered by the job itself, or earlier by whoever takes its place (PREEMPTED) or stops it
+A request is a `Ticket`. It is answered by the job itself, or earlier by the request that takes its place (PREEMPTED) or stops it
 (CANCELLED): at once, without waiting until the job notices. What a job still does after that is lost, and it cannot move the arm,
 because it must `commit` first, and a ticket that is answered does not commit. A deadline answers from outside too: a job may be where
 it cannot look at the clock, in a cloud of millions of points, say.
@@ -87,7 +87,7 @@ class Ticket:
         return self._answer is not None
 
     def should_stop(self) -> bool:
-        """Tell the job that nobody waits for it any more."""
+        """Tell the job that its answer is not waited for any more."""
         return self._answer is not None
 
     def commit(self) -> bool:
@@ -98,7 +98,7 @@ class Ticket:
             return self._committed
 
     def answer(self, answer: Answer) -> bool:
-        """Answer, if nobody did before; tell whether this was the answer."""
+        """Answer, unless it is answered; tell whether this was the answer."""
         with self._lock:
             if self._answer is not None:
                 return False
@@ -129,7 +129,7 @@ class Worker:
         self._on_defect = on_defect
         self._tidy = tidy
         self._condition = threading.Condition()
-        self._submitting = threading.Lock()  # one submitter at a time: nobody's request is overwritten unanswered
+        self._submitting = threading.Lock()  # one submitter at a time: no request is overwritten unanswered
         self._waiting: tuple[Ticket, Callable[[Ticket], Answer]] | None = None
         self._current: Ticket | None = None
         self._newest: Ticket | None = None

@@ -77,7 +77,7 @@ class Listener:
         self.node.create_subscription(JointState, names["joint_states"], self._on_joint_state, qos.JOINT_STATES)
         self.node.create_subscription(DiagnosticArray, "/diagnostics", self._on_health, 10)
         self.node.create_timer(_CHECK_PERIOD_S, self._check_offers)
-        self.node.get_logger().set_level(rclpy.logging.LoggingSeverity.WARN)  # what it subscribes to is nobody's news
+        self.node.get_logger().set_level(rclpy.logging.LoggingSeverity.WARN)  # what it subscribes to is no news
         self._spinning = Spinning(self.node)
 
     def publishers(self, name: str) -> int:

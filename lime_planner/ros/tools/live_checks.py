@@ -25,7 +25,7 @@ from lime_planner.scene.from_clouds import CLOUDS
 
 #: A cloud older than this is worth a warning where the parameters set no limit [s].
 _OLD_S = 10.0
-#: Publishers that have not been found after this long are taken for absent: Fast DDS announces itself anew every 3 s [s].
+#: Publishers that have not been found after this long are taken for absent: Fast DDS announces itself again every 3 s [s].
 _DISCOVERY_S = 3.5
 _HEALTH_S = 1.2  # the planner tells about its health once a second
 
@@ -59,7 +59,7 @@ class Live:
         listener: it has listened long enough.
         snapshot: the parameters that the node has or will have.
         arm: the arm of these parameters; None where it is not known.
-        expected: whether silence is a fault: somebody said so, or a planner node runs.
+        expected: whether silence is a fault: the user said so, or a planner node runs.
         waited_s: for how long it listened at most.
         use_sim_time: whether the time is taken from `/clock`.
     """
@@ -167,12 +167,12 @@ def _clock(live: Live) -> Finding:
     published = live.listener.node.count_publishers("/clock")
     if live.use_sim_time and not published:
         return fault(
-            "clock", "use_sim_time is set, and nobody publishes /clock: the time stands still", "start the simulator, or unset use_sim_time"
+            "clock", "use_sim_time is set, and /clock has no publisher: the time stands still", "start the simulator, or unset use_sim_time"
         )
     if published and not live.use_sim_time:
         return warning(
             "clock",
-            "somebody publishes /clock, and use_sim_time is not set",
+            "/clock is published, and use_sim_time is not set",
             "set use_sim_time: true for the planner, or end the simulator",
         )
     return ok("clock", "simulated time from /clock" if published else "system time")
@@ -193,7 +193,7 @@ def _joint_states(live: Live) -> Finding:
     if not listener.publishers(name):
         others = [other for other in listener.topics_of("sensor_msgs/msg/JointState") if other != topic]
         hint = f"joint states are on {', '.join(others)}: --joint-states TOPIC" if others else "start the arm's driver (or mock_arm_node)"
-        return live.absent(name, f"nobody publishes {topic}", hint)
+        return live.absent(name, f"{topic} has no publisher", hint)
     msg = listener.joint_state
     if msg is None:
         return fault(
@@ -233,7 +233,7 @@ def _cloud(live: Live, name: str) -> Finding:
         option = f"--{name.removesuffix('_cloud')} TOPIC"
         others = [other for other in listener.topics_of("sensor_msgs/msg/PointCloud2") if other not in listener.topics.values()]
         hint = f"clouds are on {', '.join(others)}: {option}" if others else "start the camera and the segmentation (or scene_node)"
-        return live.absent(name, f"nobody publishes {topic}", hint)
+        return live.absent(name, f"{topic} has no publisher", hint)
     if sample is None:
         return fault(
             name,
@@ -292,7 +292,7 @@ def _target(live: Live) -> Finding:
     topic, sample = listener.topics[name], listener.inputs.slots[name].newest
     if sample is None:
         publishers = listener.publishers(name)
-        sentence = f"{topic} has a publisher and no message yet" if publishers else f"nobody publishes {topic}"
+        sentence = f"{topic} has a publisher and no message yet" if publishers else f"{topic} has no publisher"
         return warning(name, sentence, "a plan needs one, or a fruit on fruit_target, or grasp_candidates; ~/preview_to brings its own")
     try:
         target = listener.inputs.target(node.max_target_age_s, node.max_clock_skew_s)
@@ -308,7 +308,7 @@ def _controller(live: Live) -> Finding:
     count = live.listener.node.count_subscribers(topic)
     if not count:
         return live.absent(
-            "controller", f"nobody subscribes to {topic}: no motion is carried out", "start the arm's controller, or remap joint_trajectory"
+            "controller", f"{topic} has no subscriber: no motion is carried out", "start the arm's controller, or remap joint_trajectory"
         )
     if count > 1:
         return warning("controller", f"{count} nodes subscribe to {topic}: each may move an arm", "leave one of them")
