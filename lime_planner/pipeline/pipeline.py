@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 from collections.abc import Callable, Iterable
 from typing import Any
@@ -28,7 +29,7 @@ from lime_planner.pipeline.plausibility import doubts_about
 from lime_planner.pipeline.result import PlanResult, set_parameters
 from lime_planner.pipeline.search import search
 from lime_planner.pipeline.spots import Spot, spot_at
-from lime_planner.pipeline.targets import Target, target_of
+from lime_planner.pipeline.targets import Target, candidates_target, fruit_target, target_of
 from lime_planner.planning.planner import load_planner
 from lime_planner.planning.practice import practise
 from lime_planner.planning.space import line, one
@@ -71,6 +72,9 @@ class Pipeline:
         points = apart + np.random.default_rng(0).uniform(-0.05, 0.05, (64, 3))
         scene = Scene.from_points(points, np.arange(64) % 2, frame_id=self.robot.planning_frame)
         settings = settings_from({"ik_starts": 10, "leaf_speed_scale": 0.9, "floor_z_m": -5.0})
+        for aim in (fruit_target(T[:3, 3], 0.02), candidates_target(T[None])):
+            with contextlib.suppress(Refusal):  # what becomes of them does not matter here
+                self._goals(scene, aim, q, settings, 1, Clock(), {}, {}, never)
         obstacles, checker, goals = self._goals(scene, target_of(T), q, settings, 1, Clock(), {}, {}, never)
         space = obstacles.space(q - 4.0, q + 4.0).handle()
         one(space, q)
