@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from lime_planner.planning.lime_star.alternatives import Restarts
 from lime_planner.planning.lime_star.options import LimeOptions
 from lime_planner.planning.lime_star.polish import polish
 from lime_planner.planning.lime_star.run import Run
@@ -29,7 +30,7 @@ def load(space: Any, *paths: list[list[float]]) -> Tracks:
     """Tracks that hold the given paths, and one empty track more."""
     tracks = new_tracks(len(paths) + 1, 2)
     for t, path in enumerate(paths):
-        assert load_track(space, tracks, t, np.array(path), len(path), WEIGHT, 1.0, math.inf)
+        assert load_track(space, tracks, t, np.array(path), len(path), 0.0, WEIGHT, 1.0, math.inf)
     return tracks
 
 
@@ -135,7 +136,8 @@ def test_polishing_ends_at_the_straight_line_with_no_waypoint_to_spare() -> None
 
 
 def run_of(world: PlaneWorld, goals: list[list[float]], seed: int = 1, **limits: Any) -> Run:
-    return Run(world.space(), np.asarray(world.start, dtype=float), np.array(goals), LimeOptions(weight=WEIGHT), seed, **limits)
+    start, options = np.asarray(world.start, dtype=float), LimeOptions(weight=WEIGHT)
+    return Run(world.space(), start, np.array(goals), np.zeros(len(goals)), options, seed, **limits)
 
 
 def adopt(run: Run, path: list[list[float]], **how: Any) -> int:
@@ -160,12 +162,13 @@ def test_a_restart_finds_the_nearer_goal() -> None:
     world = free_plane()
     run = run_of(world, [[15.0, 90.0], [40.0, 12.0]])
     assert adopt(run, [[10.0, 10.0], [15.0, 90.0]]) >= 0
-    assert run.restarts.look(run)
-    assert run.restarts.tried.tolist() == [0.0, 1.0]
+    restarts = Restarts(len(run.goals))
+    assert restarts.look(run)
+    assert restarts.tried.tolist() == [0.0, 1.0]
     assert run.best_cost == pytest.approx(math.hypot(30.0, 2.0), rel=0.05)
     for _ in range(50):
         run.polish(int(np.argmin(run.tracks.cost)), 50)
-    assert not run.restarts.look(run)  # nothing is left to be gained
+    assert not restarts.look(run)  # nothing is left to be gained
 
 
 def test_a_restart_is_heard_to_be_stopped() -> None:
@@ -176,5 +179,5 @@ def test_a_restart_is_heard_to_be_stopped() -> None:
         return len(asked) > 2
 
     run = run_of(wall_g(), [list(wall_g().goal)], over=over)
-    run.restarts.look(run)
+    Restarts(len(run.goals)).look(run)
     assert len(asked) >= 3 and run.iterations <= 75
