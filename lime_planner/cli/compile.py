@@ -4,10 +4,18 @@ from __future__ import annotations
 
 import argparse
 
+_EPILOG = """\
+What plans first would do it too. It takes about half a minute on two cores,
+once after an installation or an update.
+
+example:
+  lime-planner compile
+"""
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the command's arguments: there are none."""
-    parser.epilog = "What plans first would do it too. It takes about half a minute on two cores, once after an installation or an update."
+    parser.epilog = _EPILOG
 
 
 def run(args: argparse.Namespace) -> int:

@@ -57,7 +57,7 @@ def test_plan_writes_figures_picture_and_table(scene_file: Path, scene: Scene, t
     figures_file, picture = tmp_path / "deep" / "plan.json", tmp_path / "plan.png"
     assert run(scene_file, "--seed", 3, "--json", figures_file, "--picture", picture) == 0
     out, err = capsys.readouterr()
-    assert err == ""
+    assert err == f"made the folder {figures_file.parent}\n"
     assert "SUCCEEDED: " in out
     table = out[out.index("lime_star in") :]
     assert max(map(len, table.splitlines())) <= 80

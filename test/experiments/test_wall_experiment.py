@@ -157,7 +157,7 @@ def test_interruption_keeps_what_is_done(tmp_path: Path, monkeypatch: pytest.Mon
 
 def test_ctrl_c_reaches_parallel_runs(tmp_path: Path) -> None:
     out = tmp_path / "out"
-    command = [sys.executable, "-c", "import argparse, sys; from lime_planner.experiments import wall\n"
+    command = [sys.executable, "-c", "import argparse, sys; from lime_planner.experiments.wall import command as wall\n"
                "p = argparse.ArgumentParser(); wall.add_arguments(p); sys.exit(wall.run(p.parse_args()))",
                "--out", str(out), "--trials", "100000", "--jobs", "2", "--no-figures"]  # fmt: skip
     # A new session, so that the signal does not reach the process that runs the tests.

@@ -15,9 +15,12 @@ from arm_helpers import pipeline_of
 from lime_planner.core.errors import ParameterError
 from lime_planner.core.parameters import PARAMETERS, Parameter, Settings, settings_from
 from lime_planner.pipeline.obstacles import Obstacles, prepare
+from lime_planner.pipeline.spots import Spot, spot_at
 from lime_planner.scene.scene import Scene
 
 TARGET = np.array([0.45, 0.05, 0.4])
+#: What the obstacles are built around: an exact pose, and a fruit, which is hard but for its stalk.
+SPOTS = (spot_at(TARGET), Spot((0.45, 0.05, 0.4), fruit_radius_m=0.02))
 #: Values of parameters for which no other value can be guessed from type and range.
 OTHERS: dict[str, list[Any]] = {
     "keep_out_boxes": [[0.2, 0.2, 0.2, 0.3, 0.3, 0.3]],
@@ -75,19 +78,19 @@ def parts(value: Any) -> Iterator[bytes]:
     elif isinstance(value, (tuple, list)):
         for item in value:
             yield from parts(item)
-    elif type(value).__module__.startswith("lime_planner.collision"):
+    elif type(value).__module__.startswith(("lime_planner.collision", "lime_planner.pipeline.spots")):
         yield from parts({name: held for name, held in vars(value).items() if name not in SCRATCH})
 
 
-def fingerprint(obstacles: Obstacles) -> str:
+def fingerprint(around: list[Obstacles]) -> str:
     """What the search and the exact check meet: fields and points, radii, boxes, and the exact checker's shapes."""
-    built = (obstacles.world, obstacles.hard, obstacles.leaves, obstacles.target, obstacles.counts, obstacles.exact_checker())
+    built = [(each.world, each.hard, each.leaves, each.spot, each.counts, each.exact_checker()) for each in around]
     return hashlib.sha256(b"\0".join(parts(built))).hexdigest()
 
 
-def fresh(settings: Settings) -> Obstacles:
+def fresh(settings: Settings) -> list[Obstacles]:
     pipeline = pipeline_of()
-    return prepare(pipeline.robot, pipeline.shapes, scene(), TARGET, settings)
+    return [prepare(pipeline.robot, pipeline.shapes, scene(), spot, settings) for spot in SPOTS]
 
 
 @cache
@@ -103,16 +106,15 @@ def test_what_changes_the_obstacles_is_marked_so(name: str) -> None:
     assert changed is parameter.shapes_obstacles, f"{name} {'changes' if changed else 'does not change'} the obstacles"
     for value in others(parameter)[:1]:
         # A plan with other settings before it leaves nothing of its obstacles to the next.
-        assert fingerprint(pipeline.obstacles(scene(), TARGET, settings_from())) == usual()
+        assert fingerprint([pipeline.obstacles(scene(), spot, settings_from()) for spot in SPOTS]) == usual()
         changed = settings_from({name: value})
-        now = pipeline.obstacles(scene(), TARGET, changed)
-        assert fingerprint(now) == fingerprint(fresh(changed)) and now.settings == changed
+        now = [pipeline.obstacles(scene(), spot, changed) for spot in SPOTS]
+        assert fingerprint(now) == fingerprint(fresh(changed)) and all(each.settings == changed for each in now)
 
 
 def test_the_comparison_sees_a_moved_point() -> None:
-    obstacles = fresh(settings_from())
-    assert fingerprint(dataclasses.replace(obstacles, hard=obstacles.hard + np.float32(1e-6))) != usual()
+    obstacles, around_fruit = fresh(settings_from())
+    assert fingerprint([dataclasses.replace(obstacles, hard=obstacles.hard + np.float32(1e-6)), around_fruit]) != usual()
     fields = obstacles.world.fields
-    assert (
-        fingerprint(dataclasses.replace(obstacles, world=obstacles.world._replace(fields=fields._replace(stems=fields.leaves)))) != usual()
-    )
+    swapped = obstacles.world._replace(fields=fields._replace(stems=fields.leaves))
+    assert fingerprint([dataclasses.replace(obstacles, world=swapped), around_fruit]) != usual()
