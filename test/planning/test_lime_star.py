@@ -193,7 +193,8 @@ def test_terminal_costs_are_part_of_the_cost(wall: int) -> None:
     for dear in range(3):
         terminal = np.full(4, 40.0)
         terminal[dear] += 500.0
-        together = plan_lime(world.space(), world.start, goals, options, 1, terminal_costs=terminal, iterations=4000)
+        # On wall 9 the way through the cheaper gap is found within 1000 to 5000 iterations, as the seed has it.
+        together = plan_lime(world.space(), world.start, goals, options, 1, terminal_costs=terminal, iterations=8000)
         assert together.path is not None
         end = int(np.argmin(np.linalg.norm(goals - together.path[-1], axis=1)))
         assert together.cost == pytest.approx(total(world.space(), together.path, WEIGHT) + terminal[end], rel=1e-9)
