@@ -157,7 +157,7 @@ def test_plans_on_a_recording_and_on_what_was_recorded(bag: Path, tmp_path: Path
         (["x.npz", "--bag", "BAG"], "give a SCENE or a --bag, not both"),
         ([], "give a SCENE, or a recording with --bag"),
         (["x.npz", "--target", "/goal"], "--target /goal is a topic"),
-        (["x.npz", "--target", "1", "2"], "--target needs 7 numbers"),
+        (["x.npz", "--target", "1", "2"], "--target needs 3 numbers x y z (a fruit), 7 numbers x y z qx qy qz qw (a pose)"),
         (["x.npz", "--stem", "/stems"], "--stem names a topic of a recording"),
     ],
 )
