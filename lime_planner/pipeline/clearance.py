@@ -38,6 +38,11 @@ class StemClearance:
         kept = obstacles.hard[np.linalg.norm(obstacles.hard - centre, axis=1) >= radius] if radius > 0.0 else obstacles.hard
         self._unspared = cKDTree(kept) if len(kept) else None
         self._poses = np.empty((obstacles.robot.n + 1, 3, 4))
+        shapes = obstacles.shapes
+        #: How far the surface points around each fine sphere lie from its centre, (F,) [m].
+        self._reach = np.zeros(len(shapes.fine))
+        sphere_of = np.repeat(np.arange(len(shapes.fine)), np.diff(shapes.surface_start))
+        np.maximum.at(self._reach, sphere_of, np.linalg.norm(shapes.surface - shapes.fine[sphere_of, :3], axis=1))
 
     def at(self, q: Array, most_m: float = CAP_M) -> float:
         """Return the distance at a configuration (n,), negative in a stem, at most `most_m` [m]."""
@@ -75,10 +80,18 @@ class StemClearance:
                 break
             tree = self._unspared if sparing and body == shapes.gripper else self._stems
             first, last = shapes.fine_start[shapes.coarse_start[body : body + 2]]
-            surface = shapes.surface[shapes.surface_start[first] : shapes.surface_start[last]]
-            if tree is None or not len(surface):
-                continue
             pose, radius = self._poses[body], self._obstacles.world.stem_radius
+            if tree is None or first == last:
+                continue
+            # Of the surface only what lies around a sphere that may be near: the rest of thousands of points need not be asked for.
+            reach = self._reach[first:last]
+            centres = shapes.fine[first:last, :3] @ pose[:, :3].T + pose[:, 3]
+            apart = tree.query(centres, distance_upper_bound=best + radius + float(reach.max()))[0] - reach
+            near = first + np.flatnonzero(apart < best + radius)
+            pieces = [shapes.surface[shapes.surface_start[sphere] : shapes.surface_start[sphere + 1]] for sphere in near]
+            surface = np.concatenate(pieces) if pieces else np.empty((0, 3))
+            if not len(surface):
+                continue
             found = np.asarray(tree.query(surface @ pose[:, :3].T + pose[:, 3], distance_upper_bound=best + radius)[0])
             best = min(best, max(float(found.min()) - radius, self._grid_m))
         return best
