@@ -146,7 +146,7 @@ def test_target_is_dragged_and_planned_to(planned: Tab, backend: SceneBackend, s
     # Of the three arrows the one that lies best across the line of sight.
     axes = transforms.SO3(np.asarray(gizmo.wxyz)).as_matrix().T
     middle = screen_position(planned, served, origin)
-    tips = [screen_position(planned, served, origin + 0.7 * gizmo.scale * axis) for axis in axes]
+    tips = [screen_position(planned, served, origin + 0.9 * gizmo.scale * axis) for axis in axes]
     best = int(np.argmax([np.linalg.norm(tip - middle) for tip in tips]))
     way = (tips[best] - middle) / np.linalg.norm(tips[best] - middle)
     mouse = planned.page.mouse
