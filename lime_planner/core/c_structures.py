@@ -6,8 +6,9 @@ function that takes the address of a structure is compiled once, its callers pas
 
 from __future__ import annotations
 
+import functools
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numba
@@ -22,25 +23,45 @@ from numba.np.arrayobj import populate_array
 from lime_planner.core.types import UInt8
 
 
-def _store(numba_type: Any, value: Any, memory: UInt8, at: int) -> None:
+def _fields(numba_type: Any, at: int) -> Iterator[tuple[int, str]]:
+    """Where the numbers of a structure at an offset lie, and their formats, in order."""
     context = cpu_target.target_context
     if isinstance(numba_type, nt.Array):
-        # meminfo, parent (none: compiled code holds no references), items, item size, data, shape, strides
-        words = (0, 0, value.size, value.itemsize, value.ctypes.data, *value.shape, *value.strides)
-        memory[at : at + 8 * len(words)] = np.frombuffer(struct.pack(f"{len(words)}q", *words), np.uint8)
-        return
-    if isinstance(numba_type, nt.BaseTuple):
+        yield at, f"{5 + 2 * numba_type.ndim}q"
+    elif isinstance(numba_type, nt.BaseTuple):
         layout = context.get_value_type(numba_type)
         uniform = isinstance(numba_type, nt.UniTuple | nt.NamedUniTuple)
-        for i, (part_type, part) in enumerate(zip(numba_type.types, value, strict=True)):
-            size = context.get_abi_sizeof(context.get_value_type(part_type))
-            _store(part_type, part, memory, at + (i * size if uniform else layout.get_element_offset(context.target_data, i)))
-        return
-    formats = {nt.int64: "q", nt.float64: "d", nt.boolean: "?"}
-    if numba_type not in formats:
-        raise TypeError(f"a {numba_type} has no place in a structure")
-    content = struct.pack(formats[numba_type], value)
-    memory[at : at + len(content)] = np.frombuffer(content, np.uint8)
+        for i, part in enumerate(numba_type.types):
+            size = context.get_abi_sizeof(context.get_value_type(part))
+            yield from _fields(part, at + (i * size if uniform else layout.get_element_offset(context.target_data, i)))
+    else:
+        formats = {nt.int64: "q", nt.float64: "d", nt.boolean: "?"}
+        if numba_type not in formats:
+            raise TypeError(f"a {numba_type} has no place in a structure")
+        yield at, formats[numba_type]
+
+
+@functools.cache
+def _layout(numba_type: Any) -> struct.Struct:
+    """The structure that compiled code has for a type; asking LLVM for it takes a hundred times as long as filling it."""
+    form, end = "=", 0
+    for at, numbers in _fields(numba_type, 0):
+        form += f"{at - end}x{numbers}"
+        end = at + struct.calcsize(f"={numbers}")
+    context = cpu_target.target_context
+    return struct.Struct(f"{form}{context.get_abi_sizeof(context.get_value_type(numba_type)) - end}x")
+
+
+def _numbers(value: Any) -> Iterator[Any]:
+    """What the fields of a structure hold, in order."""
+    if isinstance(value, np.ndarray):
+        # meminfo, parent (none: compiled code holds no references), items, item size, data, shape, strides
+        yield from (0, 0, value.size, value.itemsize, value.ctypes.data, *value.shape, *value.strides)
+    elif isinstance(value, tuple):
+        for part in value:
+            yield from _numbers(part)
+    else:
+        yield value
 
 
 def to_memory(value: Any, expected: Any) -> UInt8:
@@ -60,10 +81,9 @@ def to_memory(value: Any, expected: Any) -> UInt8:
     if given != expected:
         pairs = zip(type(value)._fields, given.types, expected.types, strict=True)
         raise TypeError("; ".join(f"{name}: {a} instead of {b}" for name, a, b in pairs if a != b) or f"{given} instead of {expected}")
-    context = cpu_target.target_context
-    size = context.get_abi_sizeof(context.get_value_type(expected))
-    memory = np.zeros(size // 8 + 2, np.int64).view(np.uint8)  # aligned to 8 bytes, which is all that the parts need
-    _store(expected, value, memory, 0)
+    layout = _layout(expected)
+    memory = np.zeros(layout.size // 8 + 2, np.int64).view(np.uint8)  # aligned to 8 bytes, which is all that the parts need
+    layout.pack_into(memory, 0, *_numbers(value))
     return memory
 
 
