@@ -83,7 +83,7 @@ def to_memory(value: Any, expected: Any) -> UInt8:
         raise TypeError("; ".join(f"{name}: {a} instead of {b}" for name, a, b in pairs if a != b) or f"{given} instead of {expected}")
     layout = _layout(expected)
     memory = np.zeros(layout.size // 8 + 2, np.int64).view(np.uint8)  # aligned to 8 bytes, which is all that the parts need
-    layout.pack_into(memory, 0, *_numbers(value))
+    layout.pack_into(memory.data, 0, *_numbers(value))
     return memory
 
 
