@@ -78,7 +78,7 @@ def test_plan_move_and_stop(view: View) -> None:
         tab.press("Plan", READY_S)
         tab.sees("A path is found; nothing has moved.")
         tab.press("Execute")
-        tab.sees("Is everybody out of its reach?")
+        tab.sees("Is everyone out of its reach?")
         tab.press("Move the arm")
         tab.sees("The arm moves")
         tab.press("Stop")

@@ -49,7 +49,7 @@ def test_demo_reaches_the_target_and_leaves_nothing_behind(tmp_path: Path) -> No
     assert "SUCCEEDED: the arm reached the target" in out.splitlines()[-1]
     table = out[out.index("Reach to a target") :].split("\n\n")[0]
     assert max(map(len, table.splitlines())) <= 80
-    for words in ("leaves cost", "leaves solid", "leaves ignored", "goal error, measured"):
+    for words in ("free approach", "fixed pose", "leaves solid", "leaves ignored", "goal error,", "measured [mm]"):
         assert words in table
     assert (tmp_path / "out" / "demo.png").stat().st_size > 50_000
     figures = json.loads((tmp_path / "out" / "demo.json").read_text())
