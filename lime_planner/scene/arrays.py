@@ -104,6 +104,30 @@ def view_ids_of(ids: Int16 | None, n: int) -> Int16:
     return np.full(n, -1, np.int16) if ids is None else ids
 
 
+def blocking_of(
+    given: npt.ArrayLike | None, given_ids: npt.ArrayLike | None, more: Float32, more_ids: Int16 | None
+) -> tuple[Float32 | None, Int16 | None]:
+    """Put together what cameras saw and what is no obstacle: points (B, 3) and the number of each one's viewpoint (B,), or two Nones.
+
+    Args:
+        given, given_ids: such points as they came, or None.
+        more, more_ids: further points (M, 3), (M,); those of no known viewpoint, or without any, are left out.
+
+    Raises:
+        SceneError: points and numbers do not fit.
+    """
+    points, ids = np.empty((0, 3), np.float32), np.empty(0, np.int16)
+    if given is not None:
+        points = points_of("blocking_points", given)
+        ids = column("blocking_view_ids", () if given_ids is None else given_ids, len(points)).astype(np.int16)
+        finite = finite_rows(points)
+        points, ids = points[finite], ids[finite]
+    if more_ids is not None:
+        known = more_ids >= 0
+        points, ids = np.concatenate([points, more[known]]), np.concatenate([ids, more_ids[known]])
+    return (points, ids) if len(points) else (None, None)
+
+
 def precision_note(points: npt.NDArray[Any], scale: float = 1.0) -> tuple[str, ...]:
     """Say that coordinates are too large for their single precision, if they are.
 

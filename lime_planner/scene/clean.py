@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from lime_planner.core.errors import SceneError
 from lime_planner.core.types import Bool, Float32, Int32
+from lime_planner.scene.arrays import blocking_of
 from lime_planner.scene.scene import Scene
 from lime_planner.scene.voxels import displacement, lonely, thin
 
@@ -20,6 +21,11 @@ MAX_STEM_POINTS = 100_000
 MAX_LEAF_POINTS = 150_000
 STEM_VOXELS_M = (0.001, 0.002, 0.003)
 LEAF_VOXELS_M = (0.002, 0.003, 0.004, 0.005, 0.006, 0.008)
+
+#: What is no obstacle and only hides what is behind it.
+MAX_BLOCKING_POINTS = 100_000
+BLOCKING_VOXELS_M = (0.005, 0.01, 0.02)
+FARTHEST_BLOCKING_M = 20.0
 
 OUTLIER_RADIUS_M = 0.02
 OUTLIER_NEIGHBOURS = 4
@@ -61,7 +67,7 @@ def clean_scene(
         raise SceneError(f"voxel_m: {voxel_m} is outside 0.001 to 1")
     centre = np.asarray(base_position, dtype=np.float32)
     near = tuple(_within(points, centre, reach_m) for points in (scene.leaf_points, scene.stem_points, scene.fruit_points))
-    cropped = subset(scene, *near, reason="cropped")
+    cropped = _with_fewer_blocking(subset(scene, *near, reason="cropped"))
 
     stem_kept, _, stem_moved = _thin_below(cropped.stem_points, max_stem_points, STEM_VOXELS_M)
     fruit_kept, _, fruit_moved = _thin_below(cropped.fruit_points, max_stem_points, STEM_VOXELS_M)
@@ -121,8 +127,16 @@ def _within(points: Float32, centre: Float32, reach_m: float) -> Bool:
 
 
 def subset(scene: Scene, leaf: Bool, stem: Bool, fruit: Bool, *, reason: str) -> Scene:
-    """Return a scene of some of its points, (N,), (M,) and (K,) by class; the others are counted under `reason`."""
+    """Return a scene of some of its points, (N,), (M,) and (K,) by class; the others are counted under `reason`.
+
+    The others still hide what is behind them: those of known viewpoints join the blocking points.
+    """
     counts = dict(scene.counts)
+    blocking, by = scene.blocking_points, scene.blocking_view_ids
+    classes = ((scene.leaf_points, scene.leaf_view_ids, leaf), (scene.stem_points, scene.stem_view_ids, stem))
+    for points, ids, kept in (*classes, (scene.fruit_points, scene.fruit_view_ids, fruit)):
+        if ids is not None and not kept.all():
+            blocking, by = blocking_of(blocking, by, points[~kept], ids[~kept])
     _add(counts, reason, scene.n_points - int(leaf.sum()) - int(stem.sum()) - int(fruit.sum()))
     return dataclasses.replace(
         scene,
@@ -134,8 +148,21 @@ def subset(scene: Scene, leaf: Bool, stem: Bool, fruit: Bool, *, reason: str) ->
         leaf_view_ids=_taken(scene.leaf_view_ids, leaf),
         stem_view_ids=_taken(scene.stem_view_ids, stem),
         fruit_view_ids=_taken(scene.fruit_view_ids, fruit),
+        blocking_points=blocking,
+        blocking_view_ids=by,
         counts=counts,
     )
+
+
+def _with_fewer_blocking(scene: Scene) -> Scene:
+    """Thin what is no obstacle and hides something: a camera's picture of the room."""
+    points, ids = scene.blocking_points, scene.blocking_view_ids
+    if points is None or ids is None or len(points) <= MAX_BLOCKING_POINTS:
+        return scene
+    near = _within(points, np.zeros(3, np.float32), FARTHEST_BLOCKING_M)
+    points, ids = points[near], ids[near]
+    kept = _thin_below(points, MAX_BLOCKING_POINTS, BLOCKING_VOXELS_M)[0]
+    return dataclasses.replace(scene, blocking_points=points[kept], blocking_view_ids=ids[kept])
 
 
 def _taken(column: npt.NDArray[Any] | None, which: npt.NDArray[Any]) -> npt.NDArray[Any] | None:

@@ -1,7 +1,8 @@
 """Scene files: `.npz`, and PLY and PCD with an integer label, to and from plain arrays (`Scene.load`, `Scene.save`).
 
 An `.npz` holds `points` (N, 3) [m] and `labels` (N,), and optionally `permeability_cost` (N,), `target_pose` (7,), `grasp_candidates` (P,
-7), `frame_id`, `stake_points` (S, 3), `viewpoints` (V, 3) with `view_ids` (N,), and the ground truth of generated plants: `leaf_ids` (N,),
+7), `frame_id`, `stake_points` (S, 3), `viewpoints` (V, 3) with `view_ids` (N,), what cameras saw that is no obstacle, `blocking_points`
+(B, 3) with `blocking_view_ids` (B,), and the ground truth of generated plants: `leaf_ids` (N,),
 `leaf_triangles` (L, 3, 3), `leaf_triangle_ids` (L,), `fruit_centres` (F, 3), `fruit_radii` (F,). Recorded scenes also hold the arm's
 configuration when they were taken, `start` (n,) [rad] with `start_joints` (n,), and how far thinning moved their points. Pickled members
 are refused: a scene file cannot run code.
@@ -27,7 +28,8 @@ from lime_planner.scene.ply_pcd import read_cloud, write_cloud
 SUFFIXES = (".npz", ".ply", ".pcd")
 
 _TRUTH = ("leaf_triangles", "leaf_triangle_ids", "fruit_centres", "fruit_radii")
-_OPTIONAL = ("permeability_cost", "target_pose", "grasp_candidates", "stake_points", "leaf_ids", "viewpoints", "view_ids", *_TRUTH)
+_VIEWS = ("viewpoints", "view_ids", "blocking_points", "blocking_view_ids")
+_OPTIONAL = ("permeability_cost", "target_pose", "grasp_candidates", "stake_points", "leaf_ids", *_VIEWS, *_TRUTH)
 
 _DISPLACEMENTS = ("stem_displacement_m", "leaf_displacement_m")
 

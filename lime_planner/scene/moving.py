@@ -14,7 +14,7 @@ from lime_planner.scene.arrays import frozen, numbers
 
 #: Fields of a scene, and of its file, that move and grow with the points, and those that only grow.
 _POSES = ("target_pose", "grasp_candidates")
-_POINTS = ("points", "leaf_points", "stem_points", "fruit_points", "stake_points", "viewpoints")
+_POINTS = ("points", "leaf_points", "stem_points", "fruit_points", "stake_points", "viewpoints", "blocking_points")
 MOVED = (*_POINTS, "leaf_triangles", "fruit_centres", *_POSES)
 SCALED = ("fruit_radii", "stem_displacement_m", "leaf_displacement_m")
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import os
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -12,7 +13,18 @@ import numpy.typing as npt
 
 from lime_planner.core.errors import ParameterError, SceneError
 from lime_planner.core.types import Array, Float32, Int16, Int32, UInt8
-from lime_planner.scene.arrays import any_of, column, finite_rows, frozen, points_of, precision_note, seen_from, view_ids_of, whole_labels
+from lime_planner.scene.arrays import (
+    any_of,
+    blocking_of,
+    column,
+    finite_rows,
+    frozen,
+    points_of,
+    precision_note,
+    seen_from,
+    view_ids_of,
+    whole_labels,
+)
 from lime_planner.scene.files import Start, read_members, write_members
 from lime_planner.scene.labels import ClassCosts, class_prices, fruit_in_force, point_prices
 from lime_planner.scene.moving import MOVED, SCALED, carried, placed
@@ -55,6 +67,9 @@ class Scene:
         leaf_view_ids: (N,) int16, the viewpoint of each leaf point, -1 where it is not known; None without viewpoints.
         stem_view_ids: (M,) the same of the stem points.
         fruit_view_ids: (K,) the same of the fruit points.
+        blocking_points: (B, 3) float32, what cameras saw and what is no obstacle here: the arm itself, ignored classes, what lies out of
+            reach. Nothing is known of what they hide.
+        blocking_view_ids: (B,) int16, the viewpoint of each.
         leaf_ids: (N,) int32, the leaf each leaf point lies on; generated plants only.
         leaf_triangles: (L, 3, 3) float32, corners of the leaves' surface; generated plants only.
         leaf_triangle_ids: (L,) int32, the leaf each triangle belongs to.
@@ -77,6 +92,8 @@ class Scene:
     leaf_view_ids: Int16 | None = None
     stem_view_ids: Int16 | None = None
     fruit_view_ids: Int16 | None = None
+    blocking_points: Float32 | None = None
+    blocking_view_ids: Int16 | None = None
     leaf_ids: Int32 | None = None
     leaf_triangles: Float32 | None = None
     leaf_triangle_ids: Int32 | None = None
@@ -88,6 +105,7 @@ class Scene:
         n_leaf = len(self.leaf_points)
         n_triangles = 0 if self.leaf_triangles is None else len(self.leaf_triangles)
         n_fruit = 0 if self.fruit_centres is None else len(self.fruit_centres)
+        n_blocking = 0 if self.blocking_points is None else len(self.blocking_points)
         layout: dict[str, tuple[Any, tuple[int, ...]]] = {
             "leaf_points": (np.float32, (-1, 3)),
             "leaf_costs": (np.float32, (n_leaf,)),
@@ -99,6 +117,8 @@ class Scene:
             "leaf_view_ids": (np.int16, (n_leaf,)),
             "stem_view_ids": (np.int16, (len(self.stem_points),)),
             "fruit_view_ids": (np.int16, (len(self.fruit_points),)),
+            "blocking_points": (np.float32, (-1, 3)),
+            "blocking_view_ids": (np.int16, (n_blocking,)),
             "leaf_ids": (np.int32, (n_leaf,)),
             "leaf_triangles": (np.float32, (-1, 3, 3)),
             "leaf_triangle_ids": (np.int32, (n_triangles,)),
@@ -113,7 +133,9 @@ class Scene:
             raise SceneError(f"permeability_cost: {float(self.leaf_costs.min()):g} is below its limit 0")
         if self.target_pose is not None and np.linalg.norm(self.target_pose[3:]) < 1e-6:
             raise SceneError("target_pose: its quaternion has length zero; it must describe a rotation")
-        for name in VIEW_IDS:
+        if n_blocking and self.blocking_view_ids is None:
+            raise SceneError(f"blocking_view_ids: missing; there are {n_blocking} blocking points")
+        for name in (*VIEW_IDS, "blocking_view_ids"):
             ids, n_views = getattr(self, name), 0 if self.viewpoints is None else len(self.viewpoints)
             if ids is not None and len(ids) and not -1 <= int(ids.min()) <= int(ids.max()) < n_views:
                 raise SceneError(f"{name}: from {ids.min()} to {ids.max()}, but there are {n_views} viewpoints")
@@ -208,9 +230,27 @@ class Scene:
         if self.viewpoints is not None:
             ids = [view_ids_of(getattr(self, name), n) for name, n in zip(VIEW_IDS, self._sizes, strict=True)]
             members["view_ids"] = np.concatenate(ids)
+            if self.blocking_points is not None and self.blocking_view_ids is not None:
+                members |= {"blocking_points": self.blocking_points, "blocking_view_ids": self.blocking_view_ids}
         members.update({name: value for name in (*_POSES, "viewpoints", *_TRUTH) if (value := getattr(self, name)) is not None})
         members.update({name: value for name in _DISPLACEMENTS if (value := getattr(self, name)) > 0.0})
         write_members(path, members, start)
+
+    def hits_by_view(self) -> list[Float32]:
+        """Return what each viewpoint saw, (N, 3) [m] for each of `viewpoints`: points of every class, and what is no obstacle here."""
+        if self.viewpoints is None:
+            return []
+        parts = [self.leaf_points, self.stem_points, self.fruit_points]
+        ids = [view_ids_of(getattr(self, name), n) for name, n in zip(VIEW_IDS, self._sizes, strict=True)]
+        if self.blocking_points is not None and self.blocking_view_ids is not None:
+            parts.append(self.blocking_points)
+            ids.append(self.blocking_view_ids)
+        points, by = np.concatenate(parts), np.concatenate(ids)
+        if len(self.viewpoints) == 1:
+            return [points if (by == 0).all() else points[by == 0]]
+        order = np.argsort(by, kind="stable")
+        ends = np.searchsorted(by[order], np.arange(len(self.viewpoints) + 1))
+        return [points[order[begin:end]] for begin, end in itertools.pairwise(ends)]
 
     def labelled_points(self) -> tuple[Float32, UInt8, Float32]:
         """Return the scene as one cloud: points (N, 3) [m], labels (N,), permeability costs (N,); leaves, then stems, then fruit."""
@@ -239,6 +279,8 @@ class Scene:
         leaf_ids: npt.ArrayLike | None = None,
         viewpoints: npt.ArrayLike | None = None,
         view_ids: npt.ArrayLike | None = None,
+        blocking_points: npt.ArrayLike | None = None,
+        blocking_view_ids: npt.ArrayLike | None = None,
         **truth: Any,
     ) -> Scene:
         """Sort one labelled cloud into a scene.
@@ -263,6 +305,8 @@ class Scene:
             leaf_ids: (N,) integers, used at leaf points.
             viewpoints: (V, 3) [m], where the points were seen from.
             view_ids: (N,) integers, the viewpoint of each point, -1 where it is not known; with one viewpoint it is everybody's.
+            blocking_points: (B, 3) [m], what was seen and is no obstacle; points with ignored labels are added to them.
+            blocking_view_ids: (B,) integers, the viewpoint of each.
             **truth: further fields of `Scene`, taken as they are.
 
         Raises:
@@ -291,6 +335,7 @@ class Scene:
         leaf, fruit, hard = leaf & finite, fruit & finite, (stem | unknown) & finite
         costs: npt.NDArray[Any] = np.ones(n) if permeability_cost is None else column("permeability_cost", permeability_cost, n)
         ids = None if viewpoints is None else seen_from(viewpoints, view_ids, n)
+        blocking = blocking_of(blocking_points, blocking_view_ids, points[ignored & finite], None if ids is None else ids[ignored & finite])
         return cls(
             leaf_points=points[leaf],
             leaf_costs=point_prices(labels[leaf], costs[leaf], prices),
@@ -304,6 +349,8 @@ class Scene:
             leaf_view_ids=None if ids is None else ids[leaf],
             stem_view_ids=None if ids is None else np.concatenate([ids[hard], np.full(int(finite_stakes.sum()), -1, np.int16)]),
             fruit_view_ids=None if ids is None else ids[fruit],
+            blocking_points=blocking[0],
+            blocking_view_ids=blocking[1],
             **truth,
         )
 
@@ -364,6 +411,10 @@ def merged(parts: Sequence[Scene], frame_id: str) -> Scene:
             own = [view_ids_of(getattr(part, name), part._sizes[k]) for part in parts]
             ids[name] = np.concatenate([np.where(i < 0, i, i + first).astype(np.int16) for i, first in zip(own, firsts[:-1], strict=True)])
         ids["viewpoints"] = np.concatenate(views)
+        hiding = [(part.blocking_points, part.blocking_view_ids, first) for part, first in zip(parts, firsts[:-1], strict=True)]
+        known = [(points, by + np.int16(first)) for points, by, first in hiding if points is not None and by is not None]
+        if known:
+            ids["blocking_points"], ids["blocking_view_ids"] = (np.concatenate(columns) for columns in zip(*known, strict=True))
     counts: dict[str, int] = {}
     for part in parts:
         for name, count in part.counts.items():
