@@ -36,7 +36,7 @@ CURES = {
     Status.EXECUTION_DEVIATED: "Look what holds the arm. If nothing does: a controller paused for longer than `progress_timeout_s`, or an arm that cannot keep up; lower `velocity_scaling`.",
     Status.NOTHING_TO_EXECUTE: "Call `~/preview` first; any other request discards its plan.",
     Status.ARM_MOVING: "Wait, or call `~/stop`. An arm that trembles: raise `stillness_rad`.",
-    Status.NO_CONTROLLER: "Start the controller, or remap `joint_trajectory` to its topic.",
+    Status.NO_CONTROLLER: "Start the controller, or remap `joint_trajectory` to its topic; with `controller: jtc_action` set `trajectory_action`, and see why it rejects.",
     Status.MOTION_DISABLED: "Set `motion_enabled` to true when the arm may move.",
     Status.NOT_READY: "Wait: after an update the kernels compile for a minute or two. The sentence says what is going on.",
     Status.INTERNAL_ERROR: "A defect of ours. The log has the traceback; please report it.",

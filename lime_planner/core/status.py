@@ -29,7 +29,7 @@ class Status(enum.Enum):
     EXECUTION_DEVIATED = "the arm left the planned motion"
     NOTHING_TO_EXECUTE = "there is no previewed plan"
     ARM_MOVING = "the arm did not come to rest in time"
-    NO_CONTROLLER = "the motion command has no subscriber"
+    NO_CONTROLLER = "no controller takes the motion"
     MOTION_DISABLED = "motion is disabled by motion_enabled"
     NOT_READY = "the node is still warming up"
     INTERNAL_ERROR = "a defect in this software"

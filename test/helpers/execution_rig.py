@@ -15,7 +15,7 @@ from lime_planner.motion import stop as braking
 from lime_planner.motion.trajectory import Trajectory
 from lime_planner.ros.execution.execution import Execution
 from lime_planner.ros.execution.motion import Ended, Motion
-from lime_planner.ros.execution.stopping import make_stop
+from lime_planner.ros.execution.output import Verdict
 from lime_planner.ros.inputs.joint_states import ArmState, JointHistory
 from lime_planner.ros.parameters import Snapshot, snapshot_from
 
@@ -25,28 +25,50 @@ real_sleep = time.sleep
 QUICK = {"stillness_time_s": 0.06, "goal_time_s": 0.3, "stillness_timeout_s": 0.5, "progress_timeout_s": 3.0}
 
 
+class PlayedOutput:
+    """Keeps what would be sent, and how to tell what became of it."""
+
+    def __init__(self) -> None:
+        self.sent: list[Trajectory] = []
+        self.listeners = 1
+        self.tell: Callable[[Verdict], None] = lambda verdict: None
+
+    def prepare(self, trajectory: Trajectory) -> Trajectory:
+        return trajectory
+
+    def trouble(self, controller: str) -> str:
+        return "" if self.listeners else "joint_trajectory has no subscriber"
+
+    def send(self, message: Trajectory, controller: str, on_verdict: Callable[[Verdict], None]) -> None:
+        self.sent.append(message)
+        self.tell = on_verdict
+
+    def stop(self, message: Trajectory | None, controller: str) -> None:
+        if message is not None:
+            self.sent.append(message)
+
+
 class Rig:
-    """An execution with everything around it played."""
+    """An execution with everything around it played; it is the execution's node itself."""
 
     def __init__(self) -> None:
         self.joints = JointHistory()
-        self.sent: list[Trajectory] = []
+        self.output = PlayedOutput()
+        self.sent = self.output.sent
         self.ended: list[Ended] = []
         self.stopped: list[Motion] = []
-        self.subscribers = 1
         self.allowed = True
         self.simulated: Callable[[], float | None] = lambda: None
-        self.execution = Execution(
-            self.joints,
-            lambda trajectory: trajectory,
-            self.sent.append,
-            lambda: self.subscribers,
-            lambda motion, state, on_path, controller: make_stop(FakeRobot(), motion, state, on_path, controller),
-            self.stopped.append,
-            self.ended.append,
-            lambda: self.allowed,
-            lambda: self.simulated(),
-        )
+        self.robot = FakeRobot
+        self.on_stop = self.stopped.append
+        self.on_end = self.ended.append
+        self.execution = Execution(self.joints, self.output, self)  # type: ignore[arg-type]
+
+    def may_move(self) -> bool:
+        return self.allowed
+
+    def simulated_s(self) -> float | None:
+        return self.simulated()
 
     def state(self, q: np.ndarray) -> None:
         state = self.joints.add(ArmState(np.array(q, dtype=float), time.monotonic(), 0.0, 0.0))

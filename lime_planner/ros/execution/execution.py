@@ -11,17 +11,21 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
+from typing import Protocol
 
 import numpy as np
-from trajectory_msgs.msg import JointTrajectory
 
 from lime_planner.core.errors import Refusal
 from lime_planner.core.status import Status
 from lime_planner.core.types import Array
 from lime_planner.motion.trajectory import Trajectory
 from lime_planner.pipeline.result import PlanResult
+from lime_planner.robot.model import Robot
 from lime_planner.ros.execution.motion import Ended, Motion
+from lime_planner.ros.execution.output import ACTION, MotionOutput, Verdict
 from lime_planner.ros.execution.retreat import WayOut
+from lime_planner.ros.execution.stopping import make_stop
 from lime_planner.ros.inputs.joint_states import ArmState, JointHistory
 from lime_planner.ros.inputs.latest import Target
 from lime_planner.ros.parameters import Snapshot
@@ -48,8 +52,6 @@ class _Stop:
     over_s: float
 
 
-#: Makes the stop: (motion or None, newest measured state or None, arm on the plan?, controller) -> what to send, or None.
-StopMaker = Callable[[Motion | None, ArmState | None, bool, str], Trajectory | None]
 #: How long a controller may take to begin with a stop [s].
 _STOP_BEGINS_S = 0.2
 #: A controller this slow is waited for as if it were no slower, and no longer than that [s].
@@ -58,46 +60,43 @@ _SLOWEST_PACE, _LONGEST_STILLNESS_S = 0.1, 2.5
 _NEAR_END = 3.0
 
 
+class Surroundings(Protocol):
+    """What an execution asks of the node around it, and tells it."""
+
+    def robot(self) -> Robot | None:
+        """Return the model in use."""
+
+    def may_move(self) -> bool:
+        """Whether motions are allowed now, whatever was allowed when the plan was asked for."""
+
+    def simulated_s(self) -> float | None:
+        """Return a simulation's time now [s], None without one."""
+
+    def on_stop(self, motion: Motion) -> None:
+        """Hear of a motion that is being stopped."""
+
+    def on_end(self, ended: Ended) -> None:
+        """Hear of a motion's end, once, from whichever thread notices."""
+
+
 class Execution:
     """Sends motions, watches the one that runs, stops it."""
 
-    def __init__(
-        self,
-        joints: JointHistory,
-        prepare: Callable[[Trajectory], JointTrajectory],
-        publish: Callable[[JointTrajectory], None],
-        subscribers: Callable[[], int],
-        make_stop: StopMaker,
-        on_stop: Callable[[Motion], None],
-        on_end: Callable[[Ended], None],
-        may_move: Callable[[], bool],
-        simulated: Callable[[], float | None] = lambda: None,
-    ) -> None:
+    def __init__(self, joints: JointHistory, output: MotionOutput, node: Surroundings) -> None:
         """Make an execution at rest.
 
         Args:
             joints: the measured states.
-            prepare: makes a message of a trajectory.
-            publish: puts it on the wire.
-            subscribers: how many listen to the motion command.
-            make_stop: the controller's way of stopping.
-            on_stop: is told about each motion that is being stopped.
-            on_end: is told about each motion's end, once, from whichever thread notices.
-            may_move: whether motions are allowed now, whatever was allowed when the plan was asked for.
-            simulated: a simulation's time now [s], None without one.
+            output: what motions go through.
+            node: what surrounds it.
         """
         self._joints = joints
-        self._prepare = prepare
-        self._publish = publish
-        self._subscribers = subscribers
-        self._make_stop = make_stop
-        self._on_stop = on_stop
-        self._on_end = on_end
-        self._may_move = may_move
-        self._simulated = simulated
+        self._output = output
+        self._node = node
         self._lock = threading.RLock()
         self._motion: Motion | None = None
         self._stopping: _Stop | None = None
+        self._reported: Motion | None = None  # the motion whose controller reported success
         self._restless: Motion | None = None  # a motion that could not be seen to rest after its stop, until the arm is seen to
         #: What a retreat goes back along.
         self.way_out = WayOut()
@@ -161,20 +160,20 @@ class Execution:
             Refusal: MOTION_DISABLED, ARM_MOVING, STALE_INPUT and its kin, NO_CONTROLLER.
         """
         node = snapshot.node
-        message = self._prepare(trajectory)  # outside the lock: a stop must not wait for it
+        message = self._output.prepare(trajectory)  # outside the lock: a stop must not wait for it
         with self._lock:
-            if not (node.motion_enabled and self._may_move()):
+            if not (node.motion_enabled and self._node.may_move()):
                 raise Refusal(Status.MOTION_DISABLED, "planned and published, but not sent, because motion_enabled is false")
             if self._motion is not None or self._stopping is not None:
                 raise Refusal(Status.ARM_MOVING, "another motion has not ended")
             state = self._joints.fresh(node.max_joint_state_age_s, node.max_clock_skew_s)
             self._check_start(state.q, trajectory, node.start_tolerance_rad)
-            if self._subscribers() == 0:
-                raise Refusal(Status.NO_CONTROLLER, "joint_trajectory has no subscriber")
+            trouble = self._output.trouble(node.controller)
+            if trouble:
+                raise Refusal(Status.NO_CONTROLLER, trouble)
             if not commit():
                 return None
-            self._publish(message)
-            self._motion = Motion(
+            motion = Motion(
                 plan_id,
                 result,
                 trajectory,
@@ -183,11 +182,12 @@ class Execution:
                 T_base_tool=T_base_tool,
                 replans_left=replans_left,
                 target=target,
-                simulated=self._simulated,
-                simulated_start_s=self._simulated(),
+                simulated=self._node.simulated_s,
+                simulated_start_s=self._node.simulated_s(),
             )
-            self._restless = None
-            return self._motion
+            self._output.send(message, node.controller, partial(self._on_verdict, motion))
+            self._motion, self._restless = motion, None
+            return motion
 
     def _check_start(self, q: Array, trajectory: Trajectory, tolerance_rad: float) -> None:
         off = np.abs(q - trajectory.positions[0])  # without turns removed: the controller takes the angles literally
@@ -215,16 +215,35 @@ class Execution:
                 if cancelled and self._stopping is not None:
                     self._stop_again(self._stopping, sentence)
                 return self._stopping is not None
-            command = self._make_stop(motion, self._joints.newest, status is not Status.EXECUTION_DEVIATED, motion.snapshot.node.controller)
+            controller = motion.snapshot.node.controller
+            command = make_stop(self._node.robot(), motion, self._joints.newest, status is not Status.EXECUTION_DEVIATED, controller)
             now_s = time.monotonic()
             over_s = now_s + _STOP_BEGINS_S
             if command is not None:
-                self._publish(self._prepare(command))
                 over_s += command.duration_s
+            self._output.stop(None if command is None else self._output.prepare(command), controller)
             self._motion = None
             self._stopping = _Stop(motion, status, sentence, now_s, over_s)
-        self._on_stop(motion)
+        self._node.on_stop(motion)
         return True
+
+    def _on_verdict(self, motion: Motion, verdict: Verdict) -> None:
+        """Take in what the controller says of a motion: it took none of it, ended it early, or has carried it out."""
+        with self._lock:
+            if self._motion is not motion:
+                return
+            if verdict.status is Status.SUCCEEDED:
+                self._reported = motion  # the arm is still seen to rest at the end (`tick`)
+                return
+            self._motion = None
+            ended = Ended(motion, verdict.status, verdict.sentence, self.cancels) if verdict.status is Status.NO_CONTROLLER else None
+            if ended is None:  # the controller holds the arm itself: another command would only disturb it
+                now_s = time.monotonic()
+                self._stopping = _Stop(motion, verdict.status, verdict.sentence, now_s, now_s + _STOP_BEGINS_S)
+        if ended is None:
+            self._node.on_stop(motion)
+        else:
+            self._node.on_end(ended)
 
     def _stop_again(self, stop: _Stop, sentence: str) -> None:
         """Take in that an arm that is being stopped already is to stay."""
@@ -235,9 +254,9 @@ class Execution:
         self._stopping = dataclasses.replace(stop, status=Status.CANCELLED, sentence=sentence)
 
     def _hold(self, controller: str) -> bool:
-        command = self._make_stop(None, self._joints.newest, False, controller)
+        command = make_stop(self._node.robot(), None, self._joints.newest, False, controller)
         if command is not None:
-            self._publish(self._prepare(command))
+            self._output.stop(self._output.prepare(command), controller)
         return command is not None
 
     def hold_foreign_motion(self, snapshot: Snapshot) -> str:
@@ -296,7 +315,7 @@ class Execution:
                 if self._joints.still(node.stillness_time_s, node.stillness_rad):
                     self._restless = None
         if ended is not None:
-            self._on_end(ended)
+            self._node.on_end(ended)
 
     def _rest_after_stop(self) -> Ended | None:
         assert self._stopping is not None
@@ -329,8 +348,12 @@ class Execution:
         still_s = min(node.stillness_time_s / max(follower.moving_pace, _SLOWEST_PACE), _LONGEST_STILLNESS_S)
         near = follower.remaining_rad() <= _NEAR_END * node.goal_tolerance_rad
         if near and off <= node.goal_tolerance_rad and self._joints.still(still_s, node.stillness_rad):
+            silent = node.controller == ACTION and self._reported is not motion
+            if silent and motion.waited_s() <= node.goal_time_s:
+                return None  # its verdict is awaited
             self._motion = None
             sentence = f"the arm rests {off:.4f} rad from the planned end after {motion.elapsed_s():.2f} s"
+            sentence += "; its controller has not said so" if silent else ""
             return Ended(motion, Status.SUCCEEDED, sentence, self.cancels)
         self._stop_if_stuck(motion, node.goal_time_s if near else node.progress_timeout_s)
         return None

@@ -19,11 +19,9 @@ from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Path
 from rclpy.clock import Clock, ClockType
-from rclpy.duration import Duration
 from rclpy.node import Node
 from sensor_msgs.msg import JointState, PointCloud2
 from std_msgs.msg import String
-from trajectory_msgs.msg import JointTrajectory
 from visualization_msgs.msg import MarkerArray
 
 from lime_planner.collision.arm_filter import make_arm_filter
@@ -31,14 +29,14 @@ from lime_planner.core.errors import LimePlannerError, Refusal
 from lime_planner.core.status import Status
 from lime_planner.robot.model import Robot
 from lime_planner.ros import qos
-from lime_planner.ros.convert import TargetMessage, to_joint_trajectory
+from lime_planner.ros.convert import TargetMessage
 from lime_planner.ros.display.displays import Displays
 from lime_planner.ros.display.marker_publisher import MarkerPublisher
 from lime_planner.ros.display.viewer_backend import Viewer, serve_page
 from lime_planner.ros.execution.execution import Execution
-from lime_planner.ros.execution.motion import Ended
+from lime_planner.ros.execution.motion import Ended, Motion
+from lime_planner.ros.execution.output import Output
 from lime_planner.ros.execution.stem_watch import StemWatch, make_look
-from lime_planner.ros.execution.stopping import make_stop
 from lime_planner.ros.inputs.frames import make_frames
 from lime_planner.ros.inputs.latest import TARGETS, Inputs
 from lime_planner.ros.inputs.scene_source import SceneSource
@@ -83,20 +81,12 @@ class PlannerNode(Node):
         self.frames = make_frames(self, settings.node.static_transforms)
         self.get_logger().info(f"frames from {self.frames.source}")
         self.source = SceneSource(self.inputs, self.frames, "", unfiltered, fixed_frame=settings.node.fixed_frame)  # of no arm yet
+        self.output = Output(self, settings.node.trajectory_action)
+        self.output.use(settings.node.controller)
         self._open_outputs()
         self._diagnosed_as = self.get_fully_qualified_name().lstrip("/")
         self.board = StatusBoard(self._diagnosed_as, self._now, self._status.publish)
-        self.execution = Execution(
-            self.inputs.joints,
-            to_joint_trajectory,
-            self._command.publish,
-            self._command.get_subscription_count,
-            lambda motion, state, on_path, controller: make_stop(self._robot(), motion, state, on_path, controller),
-            lambda motion: self.board.show(motion.plan_id, Phase.STOPPING),
-            self._on_end,
-            lambda: self.params.snapshot.node.motion_enabled,
-            self._simulated_s,
-        )
+        self.execution = Execution(self.inputs.joints, self.output, self)
         self.worker = Worker(self.get_logger().error, give_back)
         self.loader = ModelLoader(
             builder,
@@ -141,7 +131,7 @@ class PlannerNode(Node):
         self.worker.refuse()
         # A request that passed its point of no return in between has sent its motion by now, or holds the lock to do so.
         if self.execution.stop(Status.CANCELLED, "the planner node shuts down") or moving:
-            self._command.wait_for_all_acked(Duration(seconds=0.2))
+            self.output.flush(0.2)
         if self.viewer is not None:
             self.viewer.page.close()
         ended = [self.worker.close(), self.watch.close(), self.markers.close(), self.loader.close(0.5)]
@@ -149,7 +139,6 @@ class PlannerNode(Node):
         self.threads_ended = all(ended)
 
     def _open_outputs(self) -> None:
-        self._command = self.create_publisher(JointTrajectory, "joint_trajectory", qos.COMMAND)
         self._status = self.create_publisher(DiagnosticArray, "~/status", qos.LATCHED)
         self._target = self.create_publisher(PoseStamped, "~/target", qos.LATCHED)
         self._tool_path = self.create_publisher(Path, "~/tool_path", qos.LATCHED)
@@ -167,7 +156,25 @@ class PlannerNode(Node):
         if robot == FROM_TOPIC:
             self.create_subscription(String, "robot_description", self._safely(lambda msg: self.loader.offer(msg.data)), qos.LATCHED)
 
-    def _on_end(self, ended: Ended) -> None:
+    def robot(self) -> Robot | None:
+        """Return the model in use."""
+        loaded = self.loader.loaded
+        return None if loaded is None else loaded.robot
+
+    def may_move(self) -> bool:
+        """Whether motions are allowed now."""
+        return self.params.snapshot.node.motion_enabled
+
+    def simulated_s(self) -> float | None:
+        """Return a simulation's time now [s], None without one."""
+        return self._ros_now_s() if self.get_clock().ros_time_is_active else None
+
+    def on_stop(self, motion: Motion) -> None:
+        """Show that a motion is being stopped."""
+        self.board.show(motion.plan_id, Phase.STOPPING)
+
+    def on_end(self, ended: Ended) -> None:
+        """Tell how a motion ended, and plan again where that is asked for."""
         motion = ended.motion
         message = ended.status.message(ended.sentence)
         self.board.show(motion.plan_id, Phase.DONE, execution_code=ended.status.name, execution_message=message)
@@ -186,6 +193,7 @@ class PlannerNode(Node):
             self.worker.submit("replan", replan, self.request_services.finish, RequestContext(motion.target, motion.replans_left - 1))
 
     def _on_parameters(self, snapshot: Snapshot) -> None:
+        self.output.use(snapshot.node.controller)
         if not snapshot.node.motion_enabled:  # that holds for the motion that runs, too
             self.execution.stop(Status.CANCELLED, "motion_enabled was set to false")
 
@@ -241,7 +249,7 @@ class PlannerNode(Node):
             "engine": self.loader.state,
             "motion": f"plan {motion.plan_id}" if motion is not None else "none",
             "motion_enabled": self.params.snapshot.node.motion_enabled,
-            "controllers": self._command.get_subscription_count(),
+            "controllers": self.output.listeners(self.params.snapshot.node.controller),
         }
         self._health.publish(health_message(self._now(), self._diagnosed_as, self.board.robot, self._trouble(), values))
 
@@ -258,15 +266,8 @@ class PlannerNode(Node):
             trouble.append((severity, f"the last request: {self.board.last_message}"))
         return trouble
 
-    def _robot(self) -> Robot | None:
-        loaded = self.loader.loaded
-        return None if loaded is None else loaded.robot
-
     def _now(self) -> Time:
         return self.get_clock().now().to_msg()
-
-    def _simulated_s(self) -> float | None:
-        return self._ros_now_s() if self.get_clock().ros_time_is_active else None
 
     def _ros_now_s(self) -> float:
         return float(self.get_clock().now().nanoseconds) * 1e-9

@@ -31,9 +31,9 @@ def test_a_motion_that_is_followed_succeeds(rig: Rig) -> None:
 
 def test_nothing_is_sent_when_it_must_not_be(rig: Rig) -> None:
     assert refusal_of(lambda: rig.send(motion_enabled=False))[0] is Status.MOTION_DISABLED
-    rig.subscribers = 0
+    rig.output.listeners = 0
     assert refusal_of(rig.send)[0] is Status.NO_CONTROLLER
-    rig.subscribers = 1
+    rig.output.listeners = 1
     assert rig.send(commit=lambda: False) is None
     rig.state(START + np.array([0.0, 0.02, 0.0]))
     status, sentence = refusal_of(rig.send)
