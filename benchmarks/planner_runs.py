@@ -19,12 +19,13 @@ from lime_planner.planning.planner import Outcome, Planner, Query, load_planner
 
 CLOCKS: dict[str, Callable[[], float]] = {"wall": time.monotonic, "cpu": time.thread_time}
 
-#: Other readings of a planner that comparisons know by a name of their own: the planner, and what changes in its options.
-VARIANTS: dict[str, tuple[str, dict[str, Any]]] = {"apf_rrt_star_integral": ("apf_rrt_star", {"cost": "integral", "propagate": True})}
+#: Planners that comparisons know by a name of their own: the paper's as published; the planner's name and further settings.
+VARIANTS: dict[str, tuple[str, dict[str, Any]]] = {
+    f"{name}_paper": (name, {"paper": True}) for name in ("apf_rrt_star", "rrt_star", "p_rrt_star")
+}
 
 #: The package's own planners in comparisons: those of the table, and the variants.
 OWN_METHODS = (*PLANNERS, *VARIANTS)
-
 
 _READ_EVERY_S = 0.0005
 _DIGITS = 6  # of a cost, behind the point
@@ -91,7 +92,7 @@ def record(
 
 
 def planner_of(method: str) -> tuple[Planner[Any], dict[str, Any]]:
-    """The planner that a method stands for, and what the method changes in its options.
+    """The planner that a method stands for, and further settings of the method.
 
     Raises:
         ParameterError: unknown method.
@@ -109,7 +110,16 @@ def options_of(problem: Problem, method: str) -> Any:
         ParameterError: unknown method.
     """
     planner, changes = planner_of(method)
-    return dataclasses.replace(planner.options(dataclasses.replace(problem.settings, planner=planner.name)), **changes)
+    return planner.options(dataclasses.replace(problem.settings, planner=planner.name, **changes))
+
+
+def is_anytime(method: str) -> bool:
+    """Whether a method's best path never gets worse; the paper's planners minimise another cost than J.
+
+    Raises:
+        ParameterError: unknown method.
+    """
+    return planner_of(method)[0].anytime and method not in VARIANTS
 
 
 def search(problem: Problem, method: str, seed: int, space: Any = None, **limits: Any) -> Outcome:
@@ -184,6 +194,6 @@ def run_own(problem: Problem, method: str, seed: int, marks_s: Sequence[float], 
     Raises:
         ParameterError: unknown method.
     """
-    if planner_of(method)[0].anytime:
+    if is_anytime(method):
         return run_anytime(problem, method, seed, max(marks_s), clock)
     return run_marks(problem, method, seed, marks_s, clock)

@@ -187,7 +187,7 @@ def paper_mode(problems: Sequence[ProblemSpec], seeds: int) -> Timing:
     samples = []
     for spec in problems:
         problem = build_problem(spec)
-        options = options_of(problem, "apf_rrt_star")
+        options = options_of(problem, "apf_rrt_star_paper").gains
         for seed in range(seeds):
             plan = partial(plan_paper, problem.space(), problem.start, problem.goals.configurations, options, seed)
             samples.append(_median_of(partial(plan, iterations=PAPER_ITERATIONS), 1, samples=1))

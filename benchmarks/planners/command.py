@@ -1,4 +1,4 @@
-"""`lime-planner bench planners`: the default planner against the paper's on the same problems, at equal times."""
+"""`lime-planner bench planners`: the package's own planners on the same problems, at equal times."""
 
 from __future__ import annotations
 
@@ -46,7 +46,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.epilog = _EPILOG
     add_run_arguments(parser)
     add_problem_arguments(parser)
-    parser.add_argument("--methods", nargs="+", metavar="NAME", help="what to compare (default: the default planner and APF-RRT*)")
+    parser.add_argument(
+        "--methods", nargs="+", metavar="NAME", help="what to compare (default: the default planner, APF-RRT*, RRT*, APF-RRT* as published)"
+    )
     parser.add_argument(
         "--reference", type=finite_number, default=30.0, metavar="S", help="budget of runs for the best known cost; 0: none"
     )
@@ -93,7 +95,7 @@ def table_text(results: dict[str, Any]) -> str:
 
     marks = results["options"]["marks_s"]
     parts = [
-        "# The default planner against the paper's",
+        "# The package's own planners",
         report.heading(results),
         report.cost_table(results, marks, report.TIME, "s"),
         report.ratio_table(results, marks),
@@ -130,7 +132,7 @@ def run(args: argparse.Namespace) -> int:
         "bench planners",
         problems,
         refused,
-        methods=args.methods or [DEFAULT_PLANNER, "apf_rrt_star", "apf_rrt_star_integral"],
+        methods=args.methods or [DEFAULT_PLANNER, "apf_rrt_star", "rrt_star", "apf_rrt_star_paper"],
         seeds=[args.seed + 1 + k for k in range(args.seeds)],
         marks_s=tuple(args.marks),
         reference_s=args.reference,

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.isolated import IsolatedError, run_isolated
-from benchmarks.planner_runs import CLOCKS, OWN_METHODS, planner_of, run_own, warm_up
+from benchmarks.planner_runs import CLOCKS, OWN_METHODS, is_anytime, run_own, warm_up
 from benchmarks.problem_sets import Refused
 from benchmarks.timing import machine
 from lime_planner.core.errors import ParameterError
@@ -202,7 +202,7 @@ class Comparison:
         """Time that all runs take together, one after the other [s]."""
         total = 0.0
         for run in self.runs():
-            once = run.method not in OWN_METHODS or planner_of(run.method)[0].anytime
+            once = run.method not in OWN_METHODS or is_anytime(run.method)
             again = 0.0 if once else sum(m for m in self.marks_s if m < run.seconds)
             total += run.seconds + again + _PREPARE_S
         return total

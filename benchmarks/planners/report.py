@@ -19,10 +19,12 @@ TIME, CHECKS = 0, 1  # columns of a curve
 CHECK_MARKS = (3_000, 10_000, 30_000, 100_000, 300_000)
 LABELS = {
     "lime_star": "lime_star (default)",
-    "apf_rrt_star": "APF-RRT* (paper)",
-    "apf_rrt_star_integral": "APF-RRT*, integral cost",
-    "rrt_star": "RRT* (paper)",
-    "p_rrt_star": "P-RRT* (paper)",
+    "apf_rrt_star": "APF-RRT*",
+    "rrt_star": "RRT*",
+    "p_rrt_star": "P-RRT*",
+    "apf_rrt_star_paper": "APF-RRT* (paper)",
+    "rrt_star_paper": "RRT* (paper)",
+    "p_rrt_star_paper": "P-RRT* (paper)",
     "ompl_rrt_star": "OMPL RRT*",
     "ompl_informed_rrt_star": "OMPL Informed RRT*",
     "ompl_bit_star": "OMPL BIT*",

@@ -117,13 +117,13 @@ def planners_verdict(data: Results) -> str:
     rows = []
     for mark in marks:
         ours = median(np.array(list(compare.costs_at(data, compare.DEFAULT, mark).values())))
-        theirs = median(np.array(list(compare.costs_at(data, "apf_rrt_star", mark).values())))
+        theirs = median(np.array(list(compare.costs_at(data, "apf_rrt_star_paper", mark).values())))
         ratios = np.sort(list(compare.ratios_at(data, compare.DEFAULT, mark).values()))
         cells = [f"{float(np.quantile(ratios, share, method='nearest')):.3f}" for share in (0.5, 0.9)]
         asked = f"{MEDIAN_RATIO:.2f} / {TAIL_RATIO:.2f}" if mark == FIRST_MARK_S else "–"
         lower = "yes" if ours < theirs else "no"
         rows.append([f"{mark:g}", _number(ours), _number(theirs), lower, *cells, asked])
-    head = ["budget [s]", "median J, default", "median J, APF-RRT\\*", "lower", "J / best known, median", "90 %", "asked"]
+    head = ["budget [s]", "median J, default", "median J, APF-RRT\\* (paper)", "lower", "J / best known, median", "90 %", "asked"]
     return markdown_table(head, rows)
 
 

@@ -67,7 +67,7 @@ COMMANDS = (
     ),
     Command(("experiment", "report"), "benchmarks.results_page.command", "write the results page from what runs found", "lime damage"),
     Command(("bench", "kernels"), "benchmarks.kernels.command", "time of the compiled kernels"),
-    Command(("bench", "planners"), "benchmarks.planners.command", "the default planner against the paper's", "--out planners"),
+    Command(("bench", "planners"), "benchmarks.planners.command", "the package's own planners, as published and to use", "--out planners"),
     Command(("bench", "peers"), "benchmarks.planners.peers_command", "the default planner against OMPL and others", "--out peers"),
     Command(("bench", "scale"), "benchmarks.scale.command", "how cost grows with points, leaves, joints, budget", "--out scale"),
 )

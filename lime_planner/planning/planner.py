@@ -10,8 +10,9 @@ from dataclasses import dataclass, field
 from typing import Any, Generic, Literal, TypeVar
 
 import numpy as np
+import numpy.typing as npt
 
-from lime_planner.core.errors import ParameterError
+from lime_planner.core.errors import ParameterError, ProblemError
 from lime_planner.core.parameters import Settings
 from lime_planner.core.planners import PLANNERS
 from lime_planner.core.status import Status
@@ -140,6 +141,48 @@ class Planner(ABC, Generic[OptionsT]):
 
     def warm_up(self, space: Any) -> None:
         """Compile what an easy search (see `warm_iterations`) passes by."""
+
+
+@dataclass(frozen=True, eq=False)
+class Ends:
+    """Start and goals of a query as arrays of a search.
+
+    Attributes:
+        start: (n,); goals: (G, n); terminal: (G,) what ending at each adds to the cost.
+    """
+
+    start: Array
+    goals: Array
+    terminal: Array
+
+
+def checked_ends(space: Any, start: npt.ArrayLike, goals: npt.ArrayLike, terminal_costs: npt.ArrayLike | None) -> Ends:
+    """Return start and goals as arrays.
+
+    Raises:
+        ProblemError: malformed start, goals or terminal costs.
+    """
+    n = len(space.lower)
+    q_start = np.ascontiguousarray(start, dtype=np.float64)
+    q_goals = np.ascontiguousarray(np.atleast_2d(np.asarray(goals, dtype=np.float64)))
+    if q_start.shape != (n,) or q_goals.ndim != 2 or q_goals.shape[1] != n or len(q_goals) == 0:
+        raise ProblemError(f"start needs {n} numbers and goals {n} each, got shapes {q_start.shape} and {q_goals.shape}")
+    if not (np.isfinite(q_start).all() and np.isfinite(q_goals).all()):
+        raise ProblemError("start or goals have numbers that are not finite")
+    terminal = np.zeros(len(q_goals)) if terminal_costs is None else np.ascontiguousarray(terminal_costs, dtype=np.float64)
+    if terminal.shape != (len(q_goals),) or not (np.isfinite(terminal).all() and (terminal >= 0.0).all()):
+        raise ProblemError(f"{len(q_goals)} goals need as many terminal costs, finite and not negative, got {terminal.tolist()}")
+    return Ends(q_start, q_goals, terminal)
+
+
+def checked_limits(iterations: int | None, deadline_s: float | None, should_stop: Callable[[], bool] | None) -> None:
+    """Refuse a search without an end.
+
+    Raises:
+        ProblemError: no limit is given.
+    """
+    if iterations is None and deadline_s is None and should_stop is None:
+        raise ProblemError("give iterations, deadline_s or should_stop: the search has no end of its own")
 
 
 def load_planner(name: str) -> Planner[Any]:

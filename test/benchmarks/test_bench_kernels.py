@@ -133,7 +133,7 @@ def test_a_curve_keeps_improvements_only():
 
 
 def test_own_planners_give_records_with_falling_curves(problem):
-    for method in ("lime_star", "apf_rrt_star", "apf_rrt_star_integral"):
+    for method in ("lime_star", "apf_rrt_star", "apf_rrt_star_paper"):
         record = run_own(problem, method, 1, (0.05, 0.2), "cpu")
         costs = [c for _, _, c in record["curve"]]
         assert costs == sorted(costs, reverse=True)

@@ -196,7 +196,7 @@ def test_default_planner_beside_the_papers_by_hand() -> None:
     data = kept("planners")
     best = {p: min(c[2] for t in data["trials"] if t["problem"] == p for c in t["curve"]) for p in data["problems"]}
     for row in rows_of("planners.verdict"):
-        ratios, costs = [], {"lime_star": [], "apf_rrt_star": []}
+        ratios, costs = [], {"lime_star": [], "apf_rrt_star_paper": []}
         for t in data["trials"]:
             if t["seconds"] == 5.0:
                 cost = min([c[2] for c in t["curve"] if c[0] <= float(row[0])], default=math.inf)
@@ -204,7 +204,7 @@ def test_default_planner_beside_the_papers_by_hand() -> None:
                 if t["method"] == "lime_star":
                     ratios.append(cost / best[t["problem"]])
         assert len(ratios) == 5 * len(data["problems"]) == 100
-        ours, theirs = (np.median(costs[m]) for m in ("lime_star", "apf_rrt_star"))
+        ours, theirs = (np.median(costs[m]) for m in ("lime_star", "apf_rrt_star_paper"))
         assert row[1] == f"{ours:.1f}" and row[2] == ("∞" if math.isinf(theirs) else f"{theirs:.1f}")
         assert (row[3] == "yes") == bool(ours < theirs)
         assert float(row[4]) == pytest.approx(np.median(ratios), abs=0.01)

@@ -110,13 +110,24 @@ def test_the_other_arm() -> None:
 def test_the_papers_planners_go_the_same_way(planner: str) -> None:
     scene, T = problem("seedling")
     for seed in range(1, 6):
-        result = plan(scene, T, seed=seed, planner=planner, iterations=8000, leaf_policy="permeable")
+        result = plan(scene, T, seed=seed, planner=planner, paper=True, iterations=8000, leaf_policy="permeable")
         assert result.cost_metric == "node" and result.planner == planner
         if result.status is Status.SUCCEEDED:
-            examine(result, scene, T, home(robot_named()), settings(planner=planner))
+            examine(result, scene, T, home(robot_named()), settings(planner=planner, paper=True))
             return
         assert result.status in (Status.NO_PATH, Status.PATH_INVALID), result.message
     raise AssertionError("no seed found a path")
+
+
+@pytest.mark.parametrize("planner", ["apf_rrt_star", "rrt_star", "p_rrt_star"])
+def test_their_trees_reach_what_the_default_reaches(planner: str) -> None:
+    for name in ("seedling", "plant", "h01p429"):
+        scene, T = problem(name)
+        values = {"planner": planner, "iterations": 1500, "leaf_policy": "permeable"}
+        result, default = plan(scene, T, **values), plan(scene, T, **(values | {"planner": "lime_star"}))
+        assert result.cost_metric == "integral" and result.status is default.status is Status.SUCCEEDED, (name, result.message)
+        examine(result, scene, T, home(robot_named()), settings(**values))
+        assert result.cost < 5.0 * default.cost, name
 
 
 def test_clearance_is_the_meshes_own() -> None:

@@ -29,7 +29,7 @@ SCAN_FRUIT_RADIUS_M = 0.02  #: in a scan, the place of a drawn grasp counts as a
 METHODS: dict[str, dict[str, Any]] = {
     "solid": {"leaf_policy": "solid"},
     "ignored": {"leaf_policy": "ignored"},
-    "apf_rrt_star": {"planner": "apf_rrt_star"},
+    "apf_rrt_star": {"planner": "apf_rrt_star", "paper": True},
     "binary": {"leaf_cost": "binary"},
     "graded": {"leaf_cost": "graded"},
     "free": {},

@@ -25,7 +25,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from lime_planner.core.errors import ProblemError
 from lime_planner.core.jit import kernel
 from lime_planner.core.status import Status
 from lime_planner.planning.lime_star import roadmap as graph
@@ -33,6 +32,7 @@ from lime_planner.planning.lime_star.alternatives import Detours, Restarts
 from lime_planner.planning.lime_star.options import LimeOptions, LimeOutcome
 from lime_planner.planning.lime_star.run import Run
 from lime_planner.planning.lime_star.tracks import MAX_WAYPOINTS
+from lime_planner.planning.planner import checked_ends, checked_limits
 from lime_planner.planning.sampling import below, draw_between, draw_in_box, normal, uniform
 from lime_planner.planning.space import clamp, distance, evaluate, inside, line, one
 
@@ -139,18 +139,9 @@ def plan_lime(
         ProblemError: malformed start, goals or terminal costs, or no end of the search given.
     """
     began = time.monotonic()  # checks of start and goals and the run's memory are part of what a user waits for
-    n = len(space.lower)
-    q_start = np.ascontiguousarray(start, dtype=np.float64)
-    q_goals = np.ascontiguousarray(np.atleast_2d(np.asarray(goals, dtype=np.float64)))
-    if q_start.shape != (n,) or q_goals.ndim != 2 or q_goals.shape[1] != n or len(q_goals) == 0:
-        raise ProblemError(f"start needs {n} numbers and goals {n} each, got shapes {q_start.shape} and {q_goals.shape}")
-    if not (np.isfinite(q_start).all() and np.isfinite(q_goals).all()):
-        raise ProblemError("start or goals have numbers that are not finite")
-    terminal = np.zeros(len(q_goals)) if terminal_costs is None else np.ascontiguousarray(terminal_costs, dtype=np.float64)
-    if terminal.shape != (len(q_goals),) or not (np.isfinite(terminal).all() and (terminal >= 0.0).all()):
-        raise ProblemError(f"{len(q_goals)} goals need as many terminal costs, finite and not negative, got {terminal.tolist()}")
-    if iterations is None and deadline_s is None and should_stop is None:
-        raise ProblemError("give iterations, deadline_s or should_stop: the search has no end of its own")
+    ends = checked_ends(space, start, goals, terminal_costs)
+    q_start, q_goals, terminal = ends.start, ends.goals, ends.terminal
+    checked_limits(iterations, deadline_s, should_stop)
     before = np.array(space.counters)
     handle = space.handle()
     if one(handle, q_start) < 0.0:

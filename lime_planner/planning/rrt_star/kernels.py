@@ -34,6 +34,7 @@ class Rules(NamedTuple):
     propagate: bool
     near_is_neighbour: bool
     rrg_gamma: float
+    radius_limit: float
     free_samples: bool
     goal_radius: float
     shift: float
@@ -103,9 +104,9 @@ def edge_cost(space: Any, rules: Any, a: Any, b: Any, length: float, intensity_a
 
 @hot_kernel
 def neighbour_radius(rules: Any, size: int, n: int) -> Any:
-    """Return δ, or with a positive `rrg_gamma` max(δ, γ (ln size / size)^(1/n)), the radius of RRT* and RRG."""
+    """Return δ, or with a positive `rrg_gamma` max(δ, γ (ln size / size)^(1/n)), the radius of RRT* and RRG, up to its limit."""
     if rules.rrg_gamma > 0.0 and size > 1:
-        return max(rules.delta, rules.rrg_gamma * (np.log(size) / size) ** (1.0 / n))
+        return max(rules.delta, min(rules.radius_limit, rules.rrg_gamma * (np.log(size) / size) ** (1.0 / n)))
     return rules.delta
 
 

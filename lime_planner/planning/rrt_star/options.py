@@ -48,7 +48,7 @@ class PaperOptions:
         goal_bias: probability that a goal is the sample.
         free_samples: reject samples inside impermeable obstacles (line 3 read literally) instead of extending towards them.
         radius: `delta`: r = δ; `rrg`: max(δ, rrg_gamma (ln n / n)^(1/dimensions)).
-        rrg_gamma: γ of the RRG radius (138 suits the wall).
+        rrg_gamma: γ of the RRG radius (138 suits the wall); radius_limit: its largest value, None: none.
         cost: `node`: equation 2; `integral`: length + weight × length inside leaves along the edges, which are also certified.
         weight: leaf weight of the integral; None: c_perm / δ.
         certify_edges: with node costs, refuse edges that pass through impermeable obstacles; the paper checks nodes only.
@@ -73,6 +73,7 @@ class PaperOptions:
     free_samples: bool = False
     radius: Literal["delta", "rrg"] = "delta"
     rrg_gamma: float = 138.0
+    radius_limit: float | None = None
     cost: Literal["node", "integral"] = "node"
     weight: float | None = None
     certify_edges: bool = False
@@ -86,7 +87,7 @@ class PaperOptions:
         for name, choices in _CHOICES.items():
             if getattr(self, name) not in choices:
                 raise ParameterError(f"{name} must be one of {', '.join(choices)}, got {getattr(self, name)!r}")
-        positive = ("delta", "d_star", "rrg_gamma", "goal_radius")
+        positive = ("delta", "d_star", "rrg_gamma", "radius_limit", "goal_radius")
         for f in fields(self):
             value = getattr(self, f.name)
             if isinstance(value, (str, bool)) or value is None:
@@ -135,6 +136,7 @@ class PaperOptions:
             propagate=self.propagate,
             near_is_neighbour=self.near_is_neighbour,
             rrg_gamma=float(self.rrg_gamma) if self.radius == "rrg" else 0.0,
+            radius_limit=math.inf if self.radius_limit is None else float(self.radius_limit),
             free_samples=self.free_samples,
             goal_radius=float(5.0 / 3.0 * self.delta if self.goal_radius is None else self.goal_radius),
             shift=float(self.shift),

@@ -19,9 +19,9 @@ from lime_planner.core.errors import ProblemError
 from lime_planner.core.status import Status
 from lime_planner.core.types import Array, Int64
 from lime_planner.planning.rrt_star import kernels
+from lime_planner.planning.rrt_star.growth import Growth
 from lime_planner.planning.rrt_star.options import PaperOptions
-from lime_planner.planning.rrt_star.potential_field import Field, farthest_corner
-from lime_planner.planning.rrt_star.tree import Tree, add_node, enlarged, new_tree, trace
+from lime_planner.planning.rrt_star.tree import Tree, trace
 from lime_planner.planning.space import one
 
 __all__ = ["PaperOptions", "PaperOutcome", "Snapshot", "plan_paper"]
@@ -96,46 +96,27 @@ def _configurations(values: npt.ArrayLike, name: str, n: int) -> Array:
     return array
 
 
-class _Run:
+class _Run(Growth):
     """One search: the tree, the sample stream and the clock."""
 
     def __init__(
         self, space: Any, start: Array, goals: Array, terminal: Array, options: PaperOptions, rng: np.random.Generator, capacity: int
     ) -> None:
-        n = len(space.lower)
-        self.space, self.given, self.options, self.rng = space.handle(), space, options, rng
-        self.goals, self.terminal = goals, terminal
+        super().__init__(space, start, goals, options, capacity)
+        self.rng, self.terminal = rng, terminal
         self.lower, self.width = np.asarray(space.lower), np.asarray(space.upper) - np.asarray(space.lower)
-        self.rules = options.rules()
-        self.field = Field(
-            k_att=float(options.k_att),
-            k_leaf=float(options.k_rep_permeable),
-            k_stem=float(options.k_rep_impermeable),
-            d_star=float(options.d_star),
-            beta=float(options.beta),
-            explore_inside=options.inside_leaves == "explore",
-            force_max=2.0 * options.k_att * farthest_corner(self.lower, np.asarray(space.upper), goals),
-        )
-        self.scratch = kernels.Scratch(*(np.zeros(n) for _ in range(4)))
-        self.tree = new_tree(capacity, n)
         self.iterations = 0
-        add_node(self.tree, start, max(self.state(start), 0.0), -1, 0.0)
         # Compile (or load) everything before the clock starts.
         self.grow(0)
         kernels.best_goal(self.space, self.rules, goals[:0], terminal[:0], self.tree)
-        kernels.measure(self.space, np.empty((0, n)), 1.0)
+        kernels.measure(self.space, np.empty((0, len(start))), 1.0)
         self.began_s = time.monotonic()
-
-    def state(self, q: Array) -> float:
-        return one(self.space, q)
 
     def elapsed_s(self) -> float:
         return time.monotonic() - self.began_s
 
     def grow(self, count: int) -> None:
         n = len(self.lower)
-        if self.tree.size[0] + count > len(self.tree.parent):
-            self.tree = enlarged(self.tree, 2 * (int(self.tree.size[0]) + count))
         # One row of the stream for each iteration, so that the size of a slice does not matter.
         biased = self.options.goal_bias > 0.0
         uniform = self.rng.random((count, n + 2 if biased else n))
@@ -143,9 +124,7 @@ class _Run:
         if biased:
             towards = uniform[:, n] < self.options.goal_bias
             samples[towards] = self.goals[(uniform[towards, n + 1] * len(self.goals)).astype(int)]
-        kernels.grow(self.space, self.field, self.rules, self.goals, self.tree, samples, self.scratch)
-        if (pending := getattr(self.given, "raise_pending", None)) is not None:
-            pending()  # an exception inside a caller's own function
+        self.extend(samples)
         self.iterations += count
 
     def snapshot(self) -> Snapshot:
@@ -214,7 +193,7 @@ def plan_paper(
     valid = np.array([one(handle, g) >= 0.0 for g in goal_array])
     used = valid if valid.any() else np.ones(len(goal_array), dtype=bool)
     run = _Run(space, starts[0], goal_array[used], terminal[used], options, generator, capacity)
-    if run.state(starts[0]) < 0.0:
+    if one(handle, starts[0]) < 0.0:
         return _outcome(run, Status.START_INVALID, (), seed, counters_before)
     if not valid.any():
         return _outcome(run, Status.GOAL_IN_STEM, (), seed, counters_before)

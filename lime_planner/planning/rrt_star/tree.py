@@ -13,6 +13,7 @@ import numpy as np
 
 from lime_planner.core.jit import hot_kernel
 from lime_planner.core.types import Array, Int32, Int64
+from lime_planner.planning.planner import SearchTree
 from lime_planner.planning.space import distance, own_distance
 
 _BLOCK = 256  # nodes whose distances are computed together, in vector instructions
@@ -99,6 +100,14 @@ def trace(tree: Tree, node: int) -> Array:
         if len(nodes) > tree.size[0]:
             raise RuntimeError("the tree has a cycle")
     return np.array(tree.rows[nodes[::-1]])
+
+
+def search_tree(tree: Tree) -> SearchTree:
+    """Return the edges from each node's parent to it; they are leafy where the node touches leaves."""
+    size = int(tree.size[0])
+    children = np.flatnonzero(tree.parent[:size] >= 0)
+    ends = np.stack([tree.parent[children].astype(np.int64), children], axis=1)
+    return SearchTree(tree.rows[:size], ends, np.asarray(tree.intensity[children] > 0.0))
 
 
 @hot_kernel
