@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lime_planner.core.errors import ProblemError
-from lime_planner.core.jit import kernel
+from lime_planner.core.jit import copy_row, kernel
 from lime_planner.core.types import Array
 from lime_planner.motion.trajectory import Trajectory
 
@@ -105,14 +105,15 @@ def brake(
                     low = low_s + (high_s - low_s) * max(choice - 1, 0) / (_CHOICES - 1)
                     high = tried
                     chosen = at
-                    best_q[:] = q
-                    best_v[:] = v * tried
+                    for j in range(n):
+                        best_q[j], best_v[j] = q[j], v[j] * tried
                     break
         clock, pace = chosen, high
-        out_positions[rows] = best_q
-        out_velocities[rows] = best_v
+        copy_row(best_q, out_positions[rows])
+        copy_row(best_v, out_velocities[rows])
         rows += 1
-    out_velocities[rows - 1] = 0.0
+    for j in range(n):
+        out_velocities[rows - 1, j] = 0.0
     return rows
 
 

@@ -145,7 +145,13 @@ def _linked(points: Any, seed: int, link_m: float, keys: Any, waiting: Any, orde
             for dy in range(-1, 2):
                 for dz in range(-1, 2):
                     other = _key(ix + dx, iy + dy, iz + dz)
-                    cell = np.searchsorted(ordered, other)
+                    cell, end = 0, n  # the first that is not less
+                    while cell < end:
+                        half = (cell + end) // 2
+                        if ordered[half] < other:
+                            cell = half + 1
+                        else:
+                            end = half
                     if cell == n or ordered[cell] != other:
                         continue
                     k = cell

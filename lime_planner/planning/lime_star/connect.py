@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from lime_planner.core.jit import kernel
+from lime_planner.core.jit import copy_row, kernel
 from lime_planner.core.types import Array, Int32, Int64
 from lime_planner.planning.sampling import draw_between, draw_in_box
 from lime_planner.planning.space import clamp, distance, edge, evaluate
@@ -31,7 +31,7 @@ def new_tree(n: int) -> ConnectTree:
 @kernel
 def reset(tree: Any, root: Any) -> None:
     """Let a tree begin again with nothing but its root."""
-    tree.rows[0] = root
+    copy_row(root, tree.rows[0])
     tree.parent[0] = -1
     tree.size[0] = 1
 
@@ -73,7 +73,7 @@ def _extend(space: Any, tree: Any, q: Any, step: float, solid: bool, trial: Any)
     elif edge(space, tree.rows[near], trial, 0.0, np.inf) == np.inf:
         return -1
     at = tree.size[0]
-    tree.rows[at] = trial
+    copy_row(trial, tree.rows[at])
     tree.parent[at] = near
     tree.size[0] = at + 1
     return at
@@ -138,10 +138,10 @@ def _join(from_start: Any, from_goal: Any, a: int, b: int, path: Any) -> int:
         return 0
     at = a
     for i in range(count - 1, -1, -1):
-        path[i] = from_start.rows[at]
+        copy_row(from_start.rows[at], path[i])
         at = from_start.parent[at]
     at = from_goal.parent[b]
     for i in range(count, total):
-        path[i] = from_goal.rows[at]
+        copy_row(from_goal.rows[at], path[i])
         at = from_goal.parent[at]
     return total

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from lime_planner.core.jit import kernel
+from lime_planner.core.jit import copy_row, kernel
 from lime_planner.planning.lime_star.tracks import MAX_WAYPOINTS, cost_between, make_room, sum_cost, take_out
 from lime_planner.planning.sampling import below, normal, uniform
 from lime_planner.planning.space import clamp, distance, edge, evaluate
@@ -88,8 +88,8 @@ def _cut(space: Any, tracks: Any, t: int, weight: float, tolerance: float, rando
         make_room(tracks, t, i + 1, 1)
     else:  # of the waypoints between the two edges two stay
         take_out(tracks, t, i + 2, j - i - 2)
-    tracks.points[t, i + 1] = tracks.trial
-    tracks.points[t, i + 2] = tracks.second
+    copy_row(tracks.trial, tracks.points[t, i + 1])
+    copy_row(tracks.second, tracks.points[t, i + 2])
     tracks.step[t, i + 1] = step
     tracks.step[t, i + 2] = other
     tracks.segment[t, i] = before
@@ -208,7 +208,7 @@ def _bend(space: Any, tracks: Any, t: int, weight: float, least: float, random: 
         for j in range(first - 1, last + 1):
             tracks.segment[t, j] = tracks.price[j]
             if j >= first:
-                tracks.points[t, j] = tracks.moved[j]
+                copy_row(tracks.moved[j], tracks.points[t, j])
         sum_cost(tracks, t)
     for j in range(first, last + 1):
         tracks.step[t, j] = max(_FINEST * least, tracks.step[t, j] * (_TRIALS_UP if good else _TRIALS_DOWN))
@@ -282,10 +282,10 @@ def _insert(space: Any, tracks: Any, t: int, weight: float, least: float, most: 
         if first == np.inf:
             return False
         make_room(tracks, t, i, 2)
-        tracks.points[t, i + 2] = tracks.second
+        copy_row(tracks.second, tracks.points[t, i + 2])
         tracks.step[t, i + 2] = step
         tracks.segment[t, i + 2] = third
-    tracks.points[t, i + 1] = tracks.trial
+    copy_row(tracks.trial, tracks.points[t, i + 1])
     tracks.step[t, i + 1] = step
     tracks.segment[t, i] = first
     tracks.segment[t, i + 1] = second

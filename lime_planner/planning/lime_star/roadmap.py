@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from lime_planner.core.jit import kernel
+from lime_planner.core.jit import copy_row, kernel
 from lime_planner.core.types import Array, Int32, Int64, UInt8
 from lime_planner.planning.space import distance, edge, evaluate
 
@@ -349,7 +349,7 @@ def read_path(roadmap: Any, path: Any) -> int:
     while True:
         if count >= path.shape[0]:
             return 0
-        path[count] = roadmap.rows[v]
+        copy_row(roadmap.rows[v], path[count])
         count += 1
         half = roadmap.via[v]
         if half < 0:

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from lime_planner.core.jit import kernel
+from lime_planner.core.jit import copy_row, kernel
 from lime_planner.core.types import Array, Int64
 from lime_planner.planning.space import distance, edge
 
@@ -90,7 +90,7 @@ def load_track(space: Any, tracks: Any, t: int, path: Any, count: int, terminal:
             return False
         tracks.segment[t, i] = c
     for i in range(count):
-        tracks.points[t, i] = path[i]
+        copy_row(path[i], tracks.points[t, i])
         tracks.step[t, i] = step
     tracks.size[t] = count
     tracks.terminal[t] = terminal
@@ -102,7 +102,7 @@ def load_track(space: Any, tracks: Any, t: int, path: Any, count: int, terminal:
 def make_room(tracks: Any, t: int, i: int, count: int) -> None:
     """Shift the waypoints behind waypoint i of a track by `count` places."""
     for k in range(tracks.size[t] - 1 + count, i + count, -1):
-        tracks.points[t, k] = tracks.points[t, k - count]
+        copy_row(tracks.points[t, k - count], tracks.points[t, k])
         tracks.step[t, k] = tracks.step[t, k - count]
         tracks.segment[t, k] = tracks.segment[t, k - count]
     tracks.size[t] += count
@@ -112,7 +112,7 @@ def make_room(tracks: Any, t: int, i: int, count: int) -> None:
 def take_out(tracks: Any, t: int, i: int, count: int) -> None:
     """Take the `count` waypoints behind waypoint i out of a track; the edge from there is to be set."""
     for k in range(i + 1, tracks.size[t] - count):
-        tracks.points[t, k] = tracks.points[t, k + count]
+        copy_row(tracks.points[t, k + count], tracks.points[t, k])
         tracks.step[t, k] = tracks.step[t, k + count]
         tracks.segment[t, k] = tracks.segment[t, k + count]
     tracks.size[t] -= count
@@ -122,7 +122,7 @@ def take_out(tracks: Any, t: int, i: int, count: int) -> None:
 def copy_track(tracks: Any, t: int, to: int) -> None:
     """Overwrite a track by another one."""
     for i in range(tracks.size[t]):
-        tracks.points[to, i] = tracks.points[t, i]
+        copy_row(tracks.points[t, i], tracks.points[to, i])
         tracks.segment[to, i] = tracks.segment[t, i]
         tracks.step[to, i] = tracks.step[t, i]
     tracks.size[to] = tracks.size[t]
