@@ -2,10 +2,14 @@
 
     from lime_planner import Robot, Scene, draw, plan
 
+    result = plan("plant.npz", "kinova_j2s6s200", seed=1)
+    print(result.message)
+
+The same with the parts at hand:
+
     robot = Robot.load("kinova_j2s6s200")
     scene = Scene.load("plant.npz")
     result = plan(scene, robot, seed=1)
-    print(result.message)
     result.save("plan.json", scene_path="plant.npz")
     draw(result, scene, robot, "plan.png")
 
@@ -72,5 +76,5 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    """List the public names."""
-    return sorted([*globals(), *__all__])
+    """List the public names alone."""
+    return sorted([*__all__, "__version__"])

@@ -14,17 +14,41 @@ import numpy.typing as npt
 from lime_planner.core.errors import ParameterError, ProblemError, SceneError
 from lime_planner.core.parameters import NODE_PARAMETERS, settings_from
 from lime_planner.core.types import Array
-from lime_planner.core.validation import floats
+from lime_planner.core.validation import floats, shown
 from lime_planner.output.console import compile_first
 from lime_planner.pipeline import Pipeline, PlanResult
 from lime_planner.pipeline.context import checked_deadline, checked_start, never
 from lime_planner.pipeline.scene_targets import fruit_targets, own_target, plan_first
 from lime_planner.pipeline.targets import Target, candidates_target, target_of
+from lime_planner.robot.builtin import BUILTIN_ARMS
 from lime_planner.robot.model import Robot
 from lime_planner.scene.scene import Scene
 
 _OF_THE_ROBOT = ("robot", "arm_joints", "planning_frame", "tool_frame")
 _ROBOTS_KEPT = 4
+
+
+@lru_cache(maxsize=_ROBOTS_KEPT)
+def _robot_named(name: str) -> Robot:
+    return Robot.load(name)
+
+
+def _robot_of(given: object) -> Robot:
+    """Return the robot that was given, loaded once where it is a name; a description in a file is read again, for it may change."""
+    if isinstance(given, Robot):
+        return given
+    if not isinstance(given, str | os.PathLike):
+        raise ParameterError(f"robot must be a Robot, the name of a built-in arm or a URDF file, got {shown(given)}")
+    name = os.fspath(given)
+    return _robot_named(name) if name in BUILTIN_ARMS else Robot.load(name)
+
+
+def _scene_of(given: object) -> Scene:
+    if isinstance(given, Scene):
+        return given
+    if not isinstance(given, str | os.PathLike):
+        raise ParameterError(f"scene must be a Scene or the path of a scene file, got {shown(given)}")
+    return Scene.load(given)
 
 
 @lru_cache(maxsize=_ROBOTS_KEPT)
@@ -36,8 +60,8 @@ def _warm_pipeline(robot: Robot) -> tuple[Pipeline, threading.Lock]:
 
 
 def plan(
-    scene: Scene,
-    robot: Robot,
+    scene: Scene | str | os.PathLike[str],
+    robot: Robot | str | os.PathLike[str],
     *,
     target: Target | npt.ArrayLike | None = None,
     fruit: int | str | npt.ArrayLike | None = None,
@@ -45,6 +69,12 @@ def plan(
     start: npt.ArrayLike | None = None,
     should_stop: Callable[[], bool] = never,
     deadline_s: float | None = None,
+    seed: int | None = None,
+    time_budget_s: float | None = None,
+    iterations: int | None = None,
+    planner: str | None = None,
+    leaf_policy: str | None = None,
+    grasp_freedom: str | None = None,
     **parameters: Any,
 ) -> PlanResult:
     """Plan a motion of the arm to a target: around stems, and through as few leaves as it must.
@@ -53,8 +83,8 @@ def plan(
     call it; plans of one robot wait for each other.
 
     Args:
-        scene: what stands in front of the arm, in the arm's planning frame.
-        robot: the arm.
+        scene: what stands in front of the arm, in the arm's planning frame; or its file.
+        robot: the arm, the name of a built-in one, or its URDF file.
         target: pose of the tool at the fruit in the planning frame, as (7,) x y z qx qy qz qw or as a (4, 4) matrix, with the freedom
             that `grasp_freedom` names; three numbers are the centre of a fruit, whose grasp the planner chooses. By default what
             the scene is about: its target's fruit, else its target pose.
@@ -64,8 +94,9 @@ def plan(
         start: (n,) joint angles [rad], turns kept; the arm's ready configuration by default.
         should_stop: True cancels; asked every few milliseconds.
         deadline_s: wall time from now for the whole plan; by default the search has `time_budget_s` and the rest what it needs.
-        **parameters: any planning parameter by its name, such as `time_budget_s`, `iterations`, `seed`, `c_perm`, `planner`,
-            `leaf_policy`, `stem_margin_m`, `keep_out_boxes`; `lime-planner parameters` lists them.
+        seed, time_budget_s, iterations, planner, leaf_policy, grasp_freedom: the planning parameters asked for most; None: the default.
+        **parameters: any other one by its name, such as `c_perm`, `stem_margin_m`, `keep_out_boxes`; `lime-planner parameters` lists
+            them.
 
     Returns:
         The result, whatever became of it: `result.status` says what, and `result.succeeded` whether there is a motion.
@@ -75,6 +106,16 @@ def plan(
         ParameterError: an unknown parameter, or a value out of range.
         ProblemError: a target that is none, or more than one, a start of the wrong size, or a deadline that is no time.
     """
+    robot, scene = _robot_of(robot), _scene_of(scene)
+    common = {
+        "seed": seed,
+        "time_budget_s": time_budget_s,
+        "iterations": iterations,
+        "planner": planner,
+        "leaf_policy": leaf_policy,
+        "grasp_freedom": grasp_freedom,
+    }
+    parameters |= {name: value for name, value in common.items() if value is not None}
     for name in parameters:
         if name in NODE_PARAMETERS:
             raise ParameterError(f"{name}: only the node has a use for this parameter")
@@ -123,13 +164,15 @@ def _targets(
     return [own]
 
 
-def draw(result: PlanResult, scene: Scene, robot: Robot, path: str | os.PathLike[str]) -> Path:
+def draw(
+    result: PlanResult, scene: Scene | str | os.PathLike[str], robot: Robot | str | os.PathLike[str], path: str | os.PathLike[str]
+) -> Path:
     """Draw plant, arm and the tool's path, coloured by leaf contact, from the side and from above.
 
     Args:
         result: a plan, found or refused.
-        scene: the scene it was made in.
-        robot: the arm.
+        scene: the scene it was made in, or its file.
+        robot: the arm, as for `plan`.
         path: the picture; `.png`, `.svg` or `.pdf`.
 
     Returns:
@@ -140,4 +183,6 @@ def draw(result: PlanResult, scene: Scene, robot: Robot, path: str | os.PathLike
     """
     from lime_planner.output.picture import draw_plan
 
-    return draw_plan(result, scene, robot, path)
+    if not isinstance(result, PlanResult):
+        raise ParameterError(f"result must be what plan returned, got {shown(result)}")
+    return draw_plan(result, _scene_of(scene), _robot_of(robot), path)

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 from arm_helpers import plant, robot_named
 
-from lime_planner import PlanResult, PlantOptions, Robot, Scene, Status, draw, generate_plant, plan
+import lime_planner
+from lime_planner import LimePlannerError, PlanResult, PlantOptions, Robot, Scene, Status, draw, generate_plant, plan
 from lime_planner.api import _warm_pipeline
 from lime_planner.core.errors import ParameterError, ProblemError, SceneError
 from lime_planner.core.geometry import matrix_to_pose, pose_to_matrix
@@ -125,3 +127,35 @@ def test_scenes_and_robots_load_by_their_class(tmp_path: Path) -> None:
     robot = Robot.load("kinova_j2n6s300")
     assert robot.joint_names == load_robot("kinova_j2n6s300").joint_names
     assert repr(robot) == "<Robot kinova_j2n6s300: 6 joints, from base to j2n6s300_end_effector>"
+
+
+def test_names_and_files_will_do(tmp_path: Path) -> None:
+    path = tmp_path / "plant.npz"
+    plant(15).save(path)
+    result = plan(str(path), "kinova_j2s6s200", seed=2, iterations=400)
+    again = plan(path, robot_named(), seed=2, iterations=400)
+    assert result and np.array_equal(result.waypoints, again.waypoints)
+    assert draw(result, path, "kinova_j2s6s200", tmp_path / "plan.png").stat().st_size > 20_000
+    refused = plan(path, "kinova_j2s6s200", target=(9.0, 0.0, 0.5, 0.0, 0.0, 0.0, 1.0), iterations=10)
+    assert not refused and refused.status is Status.NO_IK_SOLUTION
+
+
+@pytest.mark.parametrize(
+    ("arguments", "keywords", "sentence"),
+    [
+        ((5, "kinova_j2s6s200"), {}, "scene must be a Scene or the path of a scene file, got 5"),
+        (("missing.npz", "kinova_j2s6s200"), {}, "missing.npz"),
+        ((None, None), {}, "robot must be a Robot, the name of a built-in arm or a URDF file, got None"),
+        ((None, "kinova_j2s6s20"), {}, "'kinova_j2s6s20' is neither a built-in arm"),
+        ((plant(15), "kinova_j2s6s200"), {"time_budget_s": "long"}, "time_budget_s must be a number, got 'long'"),
+        ((plant(15), "kinova_j2s6s200"), {"planner": "rrt"}, "planner is 'rrt'"),
+        ((plant(15), "kinova_j2s6s200"), {"seed": 1.5}, "seed must be a whole number, got 1.5"),
+    ],
+)
+def test_a_wrong_argument_is_named(arguments: tuple[object, object], keywords: dict[str, object], sentence: str) -> None:
+    with pytest.raises(LimePlannerError, match=re.escape(sentence)):
+        plan(*arguments, **keywords)  # type: ignore[arg-type]
+
+
+def test_dir_shows_the_public_names_alone() -> None:
+    assert set(dir(lime_planner)) == {*lime_planner.__all__, "__version__"}

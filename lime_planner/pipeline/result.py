@@ -131,6 +131,10 @@ class PlanResult:
         """Whether there is a certified, timed motion to the target."""
         return self.status is Status.SUCCEEDED
 
+    def __bool__(self) -> bool:
+        """Whether there is a motion."""
+        return self.succeeded
+
     def __repr__(self) -> str:
         return f"<PlanResult {self.message}>"
 
