@@ -21,7 +21,8 @@ from lime_planner.robot.builtin import BUILTIN_ARMS, TOOL_RPY, read_builtin, sha
 from lime_planner.robot.kinematics import Chain, forward_kinematics, tool_pose
 from lime_planner.robot.mesh_files import resolve_meshes
 from lime_planner.robot.meshes import LinkMesh, bvh_of
-from lime_planner.robot.serial_chain import read_tree
+from lime_planner.robot.serial_chain import ArmTree, read_tree
+from lime_planner.robot.stored_arms import stored
 from lime_planner.robot.urdf import parse_urdf, read_urdf_file, set_joint_rpy
 
 __all__ = ["LinkMesh", "Robot", "home", "load_robot", "robot_from_urdf"]
@@ -205,7 +206,14 @@ def robot_from_urdf(
     """
     root = parse_urdf(text)
     resolved = resolve_meshes(root, base_dir, share_directories())
-    tree = read_tree(root, resolved, joint_names=joint_names, planning_frame=planning_frame, tool_frame=tool_frame, locked=locked or {})
+
+    def read() -> tuple[ArmTree, tuple[tuple[int, int], ...]]:
+        tree = read_tree(root, resolved, joint_names=joint_names, planning_frame=planning_frame, tool_frame=tool_frame, locked=locked or {})
+        return tree, find_collision_pairs(tree.chain, tree.links, tree.adjacent, tree.lower, tree.upper)
+
+    whole = ET.tostring(root, encoding="unicode")  # limits are read from it, which `resolved` is without
+    choices = (whole, list(joint_names or ()), planning_frame, tool_frame, sorted((locked or {}).items()))
+    tree, pairs = stored(resolved, choices, read)
     return Robot(
         name=name or root.get("name") or "robot",
         joint_names=tree.joint_names,
@@ -218,7 +226,7 @@ def robot_from_urdf(
         tool_frame=tree.tool_frame,
         chain=tree.chain,
         links=tree.links,
-        collision_pairs=find_collision_pairs(tree.chain, tree.links, tree.adjacent, tree.lower, tree.upper),
+        collision_pairs=pairs,
         reach_m=_reach(tree.chain, tree.links),
         urdf=text,
         held_joints=tree.held,
