@@ -102,7 +102,8 @@ examples:
 
 A command's own help: lime-planner plan --help. Completion in this shell:
   source <(lime-planner completion bash)
-What goes wrong is one line on standard error; --debug adds the traceback.
+What goes wrong is one line on standard error, and what to try a second one;
+--debug adds the traceback.
 """
 
 
@@ -176,6 +177,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         try:
             args = build_parser(arguments).parse_args(arguments)
+            args.words = arguments  # for the advice after a refusal
             for name in ("json", "picture"):  # before minutes of work whose outcome would be lost
                 if getattr(args, name, None) not in (None, "-"):
                     check_writable(getattr(args, name))

@@ -23,6 +23,7 @@ from lime_planner.cli.arguments import (
     topics_of,
 )
 from lime_planner.cli.grasp_targets import add_fruit_options, check_together, targets_of
+from lime_planner.cli.next_step import next_command
 from lime_planner.core.errors import ParameterError, UsageError
 from lime_planner.core.parameters import PARAMETERS, Settings, settings_from
 from lime_planner.core.planners import PLANNERS
@@ -116,7 +117,7 @@ def _sort_arguments(args: argparse.Namespace) -> None:
         raise UsageError("--scale and --offset place scene files; a recording is placed by its transforms")
     if len(words) == 1 and isinstance(words[0], str):
         if args.bag is None:
-            raise UsageError(f"--target {words[0]} is a topic; name the recording with --bag, or give 7 numbers")
+            raise UsageError(f"--target {words[0]} is a topic; name the recording with --bag, or give 3 or 7 numbers")
         args.topics["grasp_target"], args.target = words[0], None
     elif words and (len(words) not in (3, 7) or any(isinstance(word, str) for word in words)):
         needs = "3 numbers x y z (a fruit), 7 numbers x y z qx qy qz qw (a pose), or with --bag a topic"
@@ -254,6 +255,9 @@ def _report(result: PlanResult, scene: Scene, robot: Robot, args: argparse.Names
             print(f"picture: {args.picture}")
     if result.status is not Status.SUCCEEDED:
         print(result.message, file=sys.stderr)
+        following = next_command(args.words, "" if args.bag is not None else str(args.scene), result.status, figures)
+        if following:
+            print(f"try: {following}", file=sys.stderr)
         return 1
     if quiet:
         return 0

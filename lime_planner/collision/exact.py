@@ -40,6 +40,11 @@ class Hit:
     what: Literal["stem", "self", "keep_out", "floor", "workspace"]
     other: str
 
+    @property
+    def place(self) -> Array:
+        """The stem point that is touched, (3,) [m]."""
+        return np.array([float(word) for word in self.other.strip("()").split(",")])
+
     def __str__(self) -> str:
         """Return the contact in words."""
         verb = {"stem": "touches the stem point", "self": "touches", "keep_out": "touches", "floor": "is", "workspace": "is"}[self.what]

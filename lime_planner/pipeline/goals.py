@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import collections
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from lime_planner.collision.exact import ExactChecker
+from lime_planner.collision.exact import ExactChecker, Hit
 from lime_planner.collision.fast import LEAF, SELF
 from lime_planner.collision.joint_space import ArmSpace
 from lime_planner.collision.joint_space import measure as arm_measure
@@ -125,7 +126,7 @@ def sort_out(obstacles: Obstacles, checker: ExactChecker, solutions: Array, q_st
     none = np.zeros((0, n))
     space = obstacles.measuring_space()
     kept: list[tuple[float, Array, float]] = []
-    hits: dict[str, int] = {}
+    hits: dict[str, list[Hit]] = {}
     widest = 0.0  # clearance of those that touch nothing and are too close all the same
     for q in solutions:
         clear, own, leaf = measure(space, q)
@@ -133,13 +134,13 @@ def sort_out(obstacles: Obstacles, checker: ExactChecker, solutions: Array, q_st
             hit = checker.stem_hit(q)
             what = hit.what if hit is not None else "tight"
             widest = widest if hit is not None else max(widest, min(clear, own))
-            hits[what] = hits.get(what, 0) + 1
+            hits.setdefault(what, []).append(hit or _TIGHT)
             continue
         rank = float(np.linalg.norm(q - q_start)) + (1.0 if leaf > 0.0 else 0.0)
         kept.append((rank, q, clear))
     if not kept:
         words = _IN_WORDS if settings.leaf_policy != "solid" else _IN_WORDS | {"stem": "in a stem or a leaf (leaves are solid)"}
-        parts = ", ".join(f"{count} {words[what]}" for what, count in sorted(hits.items()))
+        parts = ", ".join(f"{len(met)} {words[what]}{_where(met)}" for what, met in sorted(hits.items()))
         parts += f" ({1e3 * widest:.1f} mm at most)" if "tight" in hits else ""
         sentence = f"all {len(solutions)} configurations that reach the target are blocked: {parts}"
         return Goals(none, none, np.zeros(0), Status.GOAL_IN_STEM, sentence, len(solutions))
@@ -165,9 +166,26 @@ def tight_anchors(obstacles: Obstacles, goals: Array, q_start: Array) -> tuple[A
     return np.array([q for q, _ in tight]).reshape(-1, len(q_start)), np.array([need for _, need in tight])
 
 
+def _where(hits: list[Hit]) -> str:
+    """Say which link most of some contacts are of, and the place of one in their midst."""
+    link, count = collections.Counter(hit.link for hit in hits).most_common(1)[0]
+    if not link:
+        return ""
+    own = [hit for hit in hits if hit.link == link]
+    often = "" if count == len(hits) else "most often "
+    if own[0].what == "self":
+        return f" ({often}{link} and {collections.Counter(hit.other for hit in own).most_common(1)[0][0]})"
+    if own[0].what != "stem":
+        return f" ({often}{link})"
+    places = np.array([hit.place for hit in own])
+    nearest = places[np.linalg.norm(places - np.median(places, axis=0), axis=1).argmin()]
+    return " ({}{} at {:.2f} {:.2f} {:.2f})".format(often, link, *nearest)
+
+
+_TIGHT = Hit("", "stem", "")
 _IN_WORDS = {
     "stem": "in a stem",
-    "tight": "closer to something hard than can be certified",
+    "tight": f"within {1e3 * MODEL_ERROR_M:g} mm of something hard, too close to be certified",
     "self": "in collision with the arm itself",
     "keep_out": "in a keep-out box",
     "floor": "below the floor",

@@ -264,7 +264,9 @@ class Pipeline:
                 if found.status is Status.CANCELLED:
                     raise Refusal(Status.CANCELLED, "the request was stopped while searching")
                 if found.status is Status.START_INVALID:
-                    raise Refusal(found.status, "where the arm stands, it is closer to itself or to something hard than can be certified")
+                    raise Refusal(
+                        found.status, "where the arm stands, it is too close to itself or to something hard to be certified (within 1 mm)"
+                    )
                 amount = f"{found.iterations} iterations" if budget is None else f"{budget:.2f} s ({found.iterations} iterations)"
                 raise Refusal(found.status, f"no path to any of {len(goals.configurations)} goal configurations within {amount}")
             which, stretch = goals.behind(found.path[-1])

@@ -109,12 +109,12 @@ class Rig:
     def no_controller(self) -> Callable[[], None]:
         """Nobody listens to the command, until the function returned is called."""
         self.bench.disconnect_controller()
-        self.wait_until(lambda: self.node._command.get_subscription_count() == 0, "no controller")
+        self.wait_until(lambda: self.node.output.listeners("jtc") == 0, "no controller")
         return self._controller_again
 
     def _controller_again(self) -> None:
         self.bench.connect_controller()
-        self.wait_until(lambda: self.node._command.get_subscription_count() > 0, "a controller")
+        self.wait_until(lambda: self.node.output.listeners("jtc") > 0, "a controller")
 
     def refused(self, name: str, value: Any) -> str:
         """Set a parameter; the reason why not."""

@@ -36,7 +36,7 @@ def explain(obstacles: Obstacles, checker: ExactChecker, approaches: Approaches,
         parts.append(f"{counts[NO_ROOM]} without room for the straight stretch")
     certified = len(outcomes) - sum(counts.values())
     if certified:
-        parts.append(f"{certified} closer to something hard on the way than can be certified")
+        parts.append(f"{certified} too close to something hard on the way to be certified")
     noun = "approach" if len(outcomes) == 1 else "approaches"
     sentence = f"no free grasp of {target}: {len(outcomes)} {noun} tried: {', '.join(parts)}"
     return Status.NO_IK_SOLUTION if counts[OUT_OF_REACH] == len(outcomes) else Status.GOAL_IN_STEM, sentence
@@ -56,9 +56,9 @@ def _commonest(obstacles: Obstacles, checker: ExactChecker, approaches: Approach
     for q in arms[::share]:
         hit = checker.stem_hit(q)
         if hit is None:
-            names["closer to something hard than can be certified"] += 1
+            names["within 1 mm of something hard, too close to be certified"] += 1
         elif hit.what == "stem":
-            places.append(np.array([float(word) for word in hit.other.strip("()").split(",")]))
+            places.append(hit.place)
         else:
             names[{"self": "through the arm itself", "keep_out": f"through {hit.other}"}.get(hit.what, f"through the {hit.what}")] += 1
     if places:
