@@ -58,6 +58,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--plans", type=int, default=20)
     parser.add_argument("--points", type=int, default=100_000, help="points of leaf and stem cloud each")
+    parser.add_argument("--threads", type=int, default=0, help="searches side by side (default: as the planner chooses)")
     options = parser.parse_args(arguments)
     core.Clock = follow.Clock = Recorder  # type: ignore[misc]
     sys.setswitchinterval(_SWITCH_INTERVAL_S)
@@ -71,7 +72,7 @@ def main(arguments: list[str] | None = None) -> int:
     for msg in messages:
         msg.header.frame_id = "base"
     assert plant.target_pose is not None
-    T, q, settings = pose_to_matrix(plant.target_pose), home(robot), settings_from({})
+    T, q, settings = pose_to_matrix(plant.target_pose), home(robot), settings_from({"threads": options.threads})
     Recorder.spans.clear()
 
     def plan() -> None:

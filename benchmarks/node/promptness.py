@@ -50,6 +50,7 @@ def main() -> int:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--plans", type=int, default=40, help="of each kind")
+    parser.add_argument("--threads", type=int, default=0, help="searches side by side (default: as the planner chooses)")
     args = parser.parse_args()
     robot = load_robot("kinova_j2s6s200")
     pipeline = Pipeline(robot)
@@ -65,7 +66,7 @@ def main() -> int:
         ("whole reach", crowded(rng), robot.forward(start + 0.5)),
     ):
         for leaf_cost in ("binary", "graded"):
-            settings = settings_from({"leaf_cost": leaf_cost})
+            settings = settings_from({"leaf_cost": leaf_cost, "threads": args.threads})
             late = []
             for number in range(args.plans):
                 stop, asked = threading.Event(), [0.0]

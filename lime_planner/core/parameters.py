@@ -106,6 +106,7 @@ class Settings:
     planner: str = _row(DEFAULT_PLANNER, "Which search: the default, or one of the paper's three.", choices=tuple(PLANNERS))
     time_budget_s: float = _row(0.5, "Search time; the best path found until then is used.", "s", 0.01, 600.0)
     iterations: int = _row(0, "Search iterations instead of time (the same seed then gives the same path); 0: by time.", "", 0, 100_000_000)
+    threads: int = _row(0, "Searches of lime_star side by side, which share what they find; iterations are those of each. 0: cores less one (1 to 8), and one where iterations limit the search.", "", 0, 64)
     seed: int = _row(0, "Seed of the random generator; 0: a fresh one for each plan, echoed in the result.", "", 0, 2**31 - 1)
     c_perm: float = _row(100.0, "Cost of one tree node inside leaves in the paper's metric (C_perm).", "", 0.0, 1e9)
     paper: bool = _row(False, "Whether rrt_star, apf_rrt_star and p_rrt_star plan exactly as published: nodes that count, no certified edges, no polishing.")

@@ -4,11 +4,26 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from lime_planner.collision.joint_space import ArmSpace
+from lime_planner.core.cores import usable_cores
 from lime_planner.core.parameters import Settings
 from lime_planner.core.types import Array
 from lime_planner.pipeline.goals import Goals, sampling_box
 from lime_planner.pipeline.obstacles import Obstacles
 from lime_planner.planning.planner import Outcome, Query, load_planner
+
+_MOST_THREADS = 8  # by default: more find little more, and what of a search is Python they do one after another
+
+
+def threads_of(settings: Settings) -> int:
+    """Return how many searches go side by side.
+
+    By default cores less one, for whatever else there is to be done. A search that is limited by iterations is to be repeated on other
+    machines: there it is one.
+    """
+    if settings.threads:
+        return settings.threads
+    return 1 if settings.iterations else max(1, min(usable_cores() - 1, _MOST_THREADS))
 
 
 def search(
@@ -34,8 +49,12 @@ def search(
     """
     lower, upper = sampling_box(obstacles, q_start, goals.configurations)
     planner = load_planner(settings.planner)
+
+    def space() -> ArmSpace:
+        return obstacles.space(lower, upper)
+
     query = Query(
-        obstacles.space(lower, upper),
+        space(),
         q_start,
         goals.configurations,
         seed,
@@ -43,5 +62,7 @@ def search(
         iterations=settings.iterations or None,
         deadline_s=budget_s,
         should_stop=should_stop,
+        threads=threads_of(settings),
+        another_space=space,
     )
     return planner.run(query, planner.options(settings))

@@ -33,9 +33,11 @@ class Query:
         goals: (G, n) configurations, at least one, most promising first; invalid ones are to be left out.
         seed: of the random generator.
         terminal_costs: (G,) what ending at each goal adds to the cost; None: nothing.
-        iterations: budget of sampled configurations; None for none.
+        iterations: budget of sampled configurations of each thread; None for none.
         deadline_s: search time from the call on [s]; None for none.
-        should_stop: True ends the search; to be asked every few milliseconds. None: never.
+        should_stop: True ends the search; to be asked every few milliseconds, in the calling thread. None: never.
+        threads: searches side by side at most.
+        another_space: makes another space like `space` with memory of its own, for a further thread; None: one thread alone.
     """
 
     space: Any
@@ -46,6 +48,8 @@ class Query:
     iterations: int | None = None
     deadline_s: float | None = None
     should_stop: Callable[[], bool] | None = None
+    threads: int = 1
+    another_space: Callable[[], Any] | None = None
 
     def limit(self) -> Callable[[int], Status | None]:
         """Start the clock of this query, and return what tells a number of iterations whether the search is over.
@@ -92,7 +96,7 @@ class Outcome:
     Attributes:
         path: (M, n) start to goal, or None.
         status: SUCCEEDED, or NO_PATH, TIMED_OUT, CANCELLED (also with a path), START_INVALID, GOAL_IN_STEM.
-        iterations: configurations sampled.
+        iterations: configurations sampled; the most of any thread, so that it is the budget that repeats the search.
         checks: configurations checked, inside edges included.
         first_path_s: search time until the first path [s], NaN if unknown.
         history: (K, 3) time [s], iterations and J at each improvement; empty where the planner keeps none.

@@ -156,7 +156,9 @@ def judge(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     assert last, f"{words}: says nothing"
     assert not FOREIGN.search(re.sub(r"INTERNAL_ERROR", "", text)), f"{words}: {text}"
     assert "INTERNAL_ERROR" not in text or "standard output" in text or "not installed" in text, f"{words}: {text}"
-    assert code == 2 or not said.err or said.err.count("\n") == 1 or "warning: " in said.err or "\ntry: " in said.err, f"{words}: {said.err}"
+    assert code == 2 or not said.err or said.err.count("\n") == 1 or "warning: " in said.err or "\ntry: " in said.err, (
+        f"{words}: {said.err}"
+    )
 
 
 Make = Callable[[Path], list[str]]

@@ -354,3 +354,16 @@ def test_follow_backs_out_the_same_way() -> None:
     for bad in (result.waypoints[:1], result.waypoints[:, :5], np.full((3, 6), np.nan), np.zeros(6)):
         with pytest.raises(ProblemError, match="path"):
             pipeline_of().follow(bad, scene, T, used)
+
+
+def test_threads_give_one_result_and_are_counted() -> None:
+    scene, T = problem("plant")
+    for threads in (2, 3):
+        first, again = (plan(scene, T, threads=threads, iterations=1200) for _ in range(2))
+        examine(first, scene, T, home(robot_named()), settings(**(QUICK | {"threads": threads})))
+        np.testing.assert_array_equal(first.waypoints, again.waypoints)
+        assert first.cost == again.cost and first.iterations == again.iterations >= 1200
+        assert first.counts["configurations_checked"] == again.counts["configurations_checked"]
+    alone = plan(scene, T, iterations=1200)
+    assert alone.counts["configurations_checked"] < 0.7 * first.counts["configurations_checked"]
+    np.testing.assert_array_equal(alone.waypoints, plan(scene, T, threads=1, iterations=1200).waypoints)

@@ -114,7 +114,8 @@ class DamageOptions:
         if name not in METHODS:
             raise ParameterError(f"method {name!r} is none of {', '.join(METHODS)}")
         iterations = REPEATABLE[name] if self.repeatable else self.iterations
-        values = {"time_budget_s": self.time_s, "iterations": iterations, "robot": self.robot, **METHODS[name]}
+        # One thread: trials go side by side themselves.
+        values = {"time_budget_s": self.time_s, "iterations": iterations, "threads": 1, "robot": self.robot, **METHODS[name]}
         return settings_from({**values, **dict(parse_assignment(text) for text in changes.split(",") if text)})
 
     def scenes(self) -> list[SceneSpec]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import os
 import signal
 import threading
 from collections import deque
@@ -18,6 +17,7 @@ from typing import Generic, TypeVar
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
+from lime_planner.core.cores import usable_cores
 from lime_planner.core.errors import LimePlannerError
 
 Task = TypeVar("Task")
@@ -34,7 +34,7 @@ class WorkerError(LimePlannerError):
 
 def default_jobs() -> int:
     """Return the number of processors this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return usable_cores()
 
 
 def _ignore_interrupt() -> None:

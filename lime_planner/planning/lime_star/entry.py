@@ -45,6 +45,8 @@ class LimeStar(Planner[LimeOptions]):
             iterations=query.iterations,
             should_stop=query.should_stop,
             deadline_s=query.deadline_s,
+            threads=query.threads,
+            another_space=query.another_space,
         )
         road = outcome.road
         return Outcome(

@@ -38,7 +38,7 @@ class LimeOutcome:
     Attributes:
         path: (M, n) start to goal, None if none was found; cost: its J, the goal's terminal cost included.
         status: SUCCEEDED, or NO_PATH, TIMED_OUT, CANCELLED (also with a path), START_INVALID, GOAL_IN_STEM.
-        iterations: configurations sampled, by whatever part.
+        iterations: configurations sampled, by whatever part; the most of any thread.
         states_checked, edges_checked: work done.
         first_path_s: time from the call until the first path [s], NaN without.
         history: (K, 3) time [s], iterations and cost at each improvement.

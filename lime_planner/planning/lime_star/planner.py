@@ -31,6 +31,7 @@ from lime_planner.planning.lime_star import roadmap as graph
 from lime_planner.planning.lime_star.alternatives import Detours, Restarts
 from lime_planner.planning.lime_star.options import LimeOptions, LimeOutcome
 from lime_planner.planning.lime_star.run import Run
+from lime_planner.planning.lime_star.side_by_side import Exchange, merged_history, search_all
 from lime_planner.planning.lime_star.tracks import MAX_WAYPOINTS
 from lime_planner.planning.planner import checked_ends, checked_limits
 from lime_planner.planning.sampling import below, draw_between, draw_in_box, normal, uniform
@@ -120,10 +121,13 @@ def plan_lime(
     iterations: int | None = None,
     should_stop: Callable[[], bool] | None = None,
     deadline_s: float | None = None,
+    threads: int = 1,
+    another_space: Callable[[], Any] | None = None,
 ) -> LimeOutcome:
     """Plan from a start to the cheapest of several goals, each with a terminal cost of its own: what comes behind it costs something.
 
     Equal arguments, seed and iteration budget give equal results. The best path found is returned at the end, also after a stop.
+    Several threads search side by side and share what they find (`side_by_side`); the first is the search that one alone would be.
 
     Args:
         space: a space of `lime_planner.planning.space`; its counters are written.
@@ -131,9 +135,11 @@ def plan_lime(
         options: see `LimeOptions`.
         seed: of the generator.
         terminal_costs: (G,) finite and not negative, what ending at each goal adds to J [rad]; zeros by default.
-        iterations: budget of sampled configurations, None for none.
-        should_stop: True ends the search; asked every few milliseconds.
+        iterations: budget of sampled configurations of each thread, None for none.
+        should_stop: True ends the search; asked every few milliseconds, by the calling thread.
         deadline_s: search time from the call on [s], None for none.
+        threads: searches side by side.
+        another_space: makes another space like `space` with memory of its own, for the further threads; without it there is one.
 
     Raises:
         ProblemError: malformed start, goals or terminal costs, or no end of the search given.
@@ -144,40 +150,64 @@ def plan_lime(
     checked_limits(iterations, deadline_s, should_stop)
     before = np.array(space.counters)
     handle = space.handle()
-    if one(handle, q_start) < 0.0:
+    start_leaf = one(handle, q_start)
+    if start_leaf < 0.0:
         return LimeOutcome(None, math.inf, Status.START_INVALID, 0, 0, 0, math.nan, np.zeros((0, 3)))
     leaf = np.array([one(handle, g) for g in q_goals])
     if not (leaf >= 0.0).any():
         return LimeOutcome(None, math.inf, Status.GOAL_IN_STEM, 0, 0, 0, math.nan, np.zeros((0, 3)))
+    exchange = Exchange(threads if another_space is not None else 1)
     ended: list[Status] = []
 
-    def over(run: Run) -> bool:
+    def cancelled() -> bool:
         if should_stop is not None and should_stop():
-            ended.append(Status.CANCELLED)
-        elif iterations is not None and run.iterations >= iterations:
-            ended.append(Status.NO_PATH)
-        elif deadline_s is not None and run.elapsed() >= deadline_s:
-            ended.append(Status.TIMED_OUT)
+            exchange.stopped.set()
+        return exchange.stopped.is_set()
+
+    def look() -> None:
+        if cancelled():
+            ended[:] = [Status.CANCELLED]
+
+    def limit(run: Run) -> Status | None:
+        if iterations is not None and run.iterations >= iterations:
+            return Status.NO_PATH
+        return Status.TIMED_OUT if deadline_s is not None and run.elapsed() >= deadline_s else None
+
+    def first_over(run: Run) -> bool:
+        status = Status.CANCELLED if cancelled() else limit(run)
+        if status is not None:
+            ended.append(status)
         return bool(ended)
 
-    run = Run(space, q_start, q_goals[leaf >= 0.0], terminal[leaf >= 0.0], options, seed, iterations, over, began)
-    if options.weight > 0.0:  # otherwise leaves are air
-        run.start_leaf, run.goal_leaf = one(handle, q_start), leaf[leaf >= 0.0]
-    _search(run)
+    def other_over(run: Run) -> bool:
+        return exchange.stopped.is_set() or limit(run) is not None
+
+    def prepare(number: int) -> Run:
+        own_seed = seed if number == 0 else int(np.random.SeedSequence([seed, number]).generate_state(1, np.uint64)[0])
+        own_space = space if number == 0 or another_space is None else another_space()
+        over = other_over if number else first_over
+        run = Run(own_space, q_start, q_goals[leaf >= 0.0], terminal[leaf >= 0.0], options, own_seed, iterations, over, began)
+        if options.weight > 0.0:  # otherwise leaves are air
+            run.start_leaf, run.goal_leaf = start_leaf, leaf[leaf >= 0.0]
+        return run
+
+    runs = search_all(exchange, prepare, _search, look)
+    best = min(runs, key=lambda run: run.best_cost)  # the first of equals
     status = ended[0]
-    if run.best_path is not None and status in (Status.NO_PATH, Status.TIMED_OUT):
+    if best.best_path is not None and status in (Status.NO_PATH, Status.TIMED_OUT):
         status = Status.SUCCEEDED
-    counted = np.asarray(space.counters) - before
+    counted = np.sum([run.space.counters for run in runs], axis=0) - before
+    history = merged_history(runs)
     return LimeOutcome(
-        run.best_path,
-        run.best_cost,
+        best.best_path,
+        best.best_cost,
         status,
-        run.iterations,
+        max(run.iterations for run in runs),
         int(counted[0] + counted[2]),
         int(counted[1]),
-        run.history[0][0] if run.history else math.nan,
-        np.array(run.history).reshape(-1, 3),
-        run.road,
+        float(history[0, 0]) if len(history) else math.nan,
+        history,
+        best.road,
     )
 
 
@@ -193,8 +223,8 @@ def warm_up(space: Any) -> None:
     graph.add_known(run.space, run.road, middle, 0, 1.0)  # without leaves no way out costs anything, and none is kept
 
 
-def _search(run: Run) -> None:
-    """Run the parts in turn until a limit is reached."""
+def _search(run: Run, meet: Callable[[Run], None]) -> None:
+    """Run the parts in turn until a limit is reached; `meet` is called between them."""
     graph.add_vertex(run.space, run.road, run.start, run.start_leaf)
     for g, intensity in zip(run.goals, run.goal_leaf, strict=True):
         graph.add_vertex(run.space, run.road, g, float(intensity))
@@ -209,6 +239,7 @@ def _search(run: Run) -> None:
     _first_paths(run)
     detours, restarts = Detours(len(run.start)), Restarts(len(run.goals))
     while not run.over():
+        meet(run)
         _round(run, detours, restarts)
 
 
