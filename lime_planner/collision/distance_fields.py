@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from lime_planner.collision.distance_grid import fill_channel, filled
+from lime_planner.collision.distance_grid import fill_channel, fill_from_nodes, filled
 from lime_planner.core.jit import inline_kernel, kernel
 from lime_planner.core.types import Array, Float32, Int32, Int64, UInt8
 
@@ -159,6 +159,30 @@ def build_fields(
             fill_channel(points, low, spacing_m, channel, values, pause)
     pause()
     return Fields(low, spacing_m, values, boxes, present, hash_points(stems), hash_points(leaves, leaf_costs))
+
+
+def lattice_fields(places: npt.ArrayLike, spacing_m: float, *, padding_m: float = 0.10, pause: Callable[[], None] = lambda: None) -> Fields:
+    """Build the field of permeable points that lie on a cubic lattice, such as the middles of voxels: a quarter of the work for many.
+
+    Args:
+        places: (N, 3) finite, N at least 1, whole numbers of spacings apart along each axis [m].
+        spacing_m: of the lattice and of the grid.
+        padding_m: how far the grid reaches beyond the points.
+        pause: see `build_fields`.
+    """
+    points = np.ascontiguousarray(places, dtype=np.float32).reshape(-1, 3)
+    lowest, highest = points.min(axis=0).astype(np.float64), points.max(axis=0).astype(np.float64)
+    rim = int(np.ceil(padding_m / spacing_m))
+    shape = np.rint((highest - lowest) / spacing_m).astype(np.int64) + 1 + 2 * rim
+    if float(np.prod(shape.astype(np.float64))) > _MAX_NODES:
+        return build_fields(np.zeros((0, 3)), points, spacing_m=spacing_m, padding_m=padding_m, pause=pause)
+    values = filled((*(int(count) for count in shape), 2), EMPTY_DISTANCE_M, pause)
+    nodes = np.rint((points - lowest) / spacing_m).astype(np.int64) + rim
+    fill_from_nodes(nodes, spacing_m, LEAF, values, pause)
+    boxes = np.zeros((2, 2, 3))
+    boxes[LEAF] = lowest, highest
+    present = np.array([0, 1], np.uint8)
+    return Fields(lowest - rim * spacing_m, float(spacing_m), values, boxes, present, hash_points(np.zeros((0, 3))), hash_points(points))
 
 
 @inline_kernel

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from lime_planner.core.jit import kernel
-from lime_planner.core.types import Array, Float32
+from lime_planner.core.types import Array, Float32, Int64
 
 _BAND_NODES = 3.6  # distances up to this many spacings are exact at the nodes
 _SLICE_NODES = 500_000  # and this many points: what is done between two looks at whether the caller has had enough, 10 ms or so
@@ -151,6 +151,28 @@ def filled(shape: tuple[int, ...], value: float, pause: Callable[[], None]) -> F
     for first, last in _slices(shape[0], 4 * _SLICE_NODES // max(int(np.prod(shape[1:])), 1), pause):
         array[first:last] = value
     return array
+
+
+def fill_from_nodes(nodes: Int64, spacing_m: float, channel: int, values: Float32, pause: Callable[[], None]) -> None:
+    """Write the exact distances to points that are nodes themselves into one channel of a grid.
+
+    Args:
+        nodes: (P, 3) their indices, P at least 1.
+        spacing_m: distance between nodes.
+        channel: last index of the values to write.
+        values: (nx, ny, nz, C) distances [m].
+        pause: see `fill_channel`.
+    """
+    shape = values.shape[:3]
+    squares = filled(shape, 1e12, pause)
+    squares[tuple(nodes.T)] = 0.0
+    planes, rows = _SLICE_NODES // (shape[1] * shape[2]), _SLICE_NODES // (shape[0] * shape[2])
+    for first, last in _slices(shape[0], planes, pause):
+        _transform_yz(squares, first, last)
+    for first, last in _slices(shape[1], rows, pause):
+        _transform_x(squares, first, last)
+    for first, last in _slices(shape[0], planes, pause):
+        values[first:last, :, :, channel] = np.sqrt(squares[first:last]) * np.float32(spacing_m)
 
 
 def fill_channel(

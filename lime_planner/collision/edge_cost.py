@@ -12,7 +12,7 @@ from lime_planner.collision.fast import NEED, ZONE
 from lime_planner.collision.leaf_contact import FINEST_RAD, set_bends
 from lime_planner.core.jit import hot_kernel
 from lime_planner.core.types import Array
-from lime_planner.planning.prices import stretch_cost
+from lime_planner.planning.prices import stretch_cost, with_unseen
 
 MAX_EDGE_STATES = 2048
 _SELF_STEP_M = 0.004  # between samples that clear each other this motion is accepted between the arm's own bodies
@@ -142,9 +142,15 @@ def arm_edge(space: Any, a: Array, b: Array, weight: float, bound: float) -> Any
     if not within_box(space, a) or not within_box(space, b):
         return np.inf
     charged = 0.0
-    if weight > 0.0 and space.own_leaves and length > 0.0:
+    if weight > 0.0 and length > 0.0 and (space.own_leaves or space.unseen_price > 0.0):
         enough = (bound - length) / (weight * length)
-        charged = call_charge(space.engine[3], space.engine[0], FINEST_RAD / length, enough)
+        if space.own_leaves:
+            charged = call_charge(space.engine[3], space.engine[0], FINEST_RAD / length, enough)
+        share = space.unseen_price
+        if share > 0.0 and charged <= enough:
+            finest = FINEST_RAD / (share * length)
+            unseen = call_charge(space.unseen[3], space.unseen[0], finest, (enough - charged) / share)
+            charged = with_unseen(charged, share, unseen)
         if charged > enough:  # it may have stopped: never to be taken for the whole, whatever rounding does
             return max(stretch_cost(length, weight, length * charged), bound * (1.0 + 1e-15))
     _set_motions(space)

@@ -17,6 +17,7 @@ from lime_planner.collision.world import World
 from lime_planner.core.c_structures import reader, vector
 from lime_planner.core.jit import hot_kernel, kernel
 from lime_planner.core.types import Array, Int64
+from lime_planner.planning.prices import with_unseen
 from lime_planner.planning.space import SpaceFunctions, SpaceHandle, make_handle, space_functions
 from lime_planner.robot.kinematics import Chain
 
@@ -33,6 +34,9 @@ class ArmSpace(NamedTuple):
         pairs: (P, 2) bodies that can touch each other.
         zoned: whether there is an approach zone.
         own_leaves: False where leaves do not matter (their weight is zero).
+        unseen: (4,) addresses like `engine`, of the world of unseen space (`world.unseen_world`); zeros where everything is seen.
+        unseen_state: what its check found.
+        unseen_price: price of unseen space, as a share of a leaf's; 0 where everything is seen, or where that costs nothing.
     """
 
     lower: Array
@@ -48,13 +52,26 @@ class ArmSpace(NamedTuple):
     pairs: Int64
     zoned: bool
     own_leaves: bool
+    unseen: Int64
+    unseen_state: State
+    unseen_price: float
 
     def handle(self) -> SpaceHandle:
         """The space as planners take it."""
         return make_handle(self, _functions(), _type())
 
 
-def make_arm_space(lower: Array, upper: Array, chain: Chain, shapes: Shapes, world: World, *, leaves: bool = True) -> ArmSpace:
+def make_arm_space(
+    lower: Array,
+    upper: Array,
+    chain: Chain,
+    shapes: Shapes,
+    world: World,
+    *,
+    leaves: bool = True,
+    unseen: World | None = None,
+    unseen_price: float = 0.0,
+) -> ArmSpace:
     """Put a space together, with fresh memory for one thread.
 
     Args:
@@ -62,10 +79,17 @@ def make_arm_space(lower: Array, upper: Array, chain: Chain, shapes: Shapes, wor
         chain, shapes: the arm.
         world: the obstacles.
         leaves: False to leave leaves out of account.
+        unseen: space that no camera has seen, as `world.unseen_world` makes it.
+        unseen_price: what being in it costs, as a share of a leaf's price.
     """
     memory = make_edge_memory(len(lower), len(shapes.spacing), len(shapes.pairs))
     state = make_state(shapes)
     scratch = make_scratch(shapes, world.fields)
+    hidden, hidden_state = np.zeros(4, np.int64), make_state(shapes)
+    if unseen is not None and unseen_price > 0.0:
+        # The same functions in another world, with the edge and the configuration of this one: nothing is compiled for it.
+        memory_there = make_scratch(shapes, unseen.fields)._replace(q=scratch.q, sweep=scratch.sweep)
+        hidden = make_engine(chain, shapes, unseen, memory_there, hidden_state)
     return ArmSpace(
         np.ascontiguousarray(lower, dtype=np.float64),
         np.ascontiguousarray(upper, dtype=np.float64),
@@ -80,6 +104,9 @@ def make_arm_space(lower: Array, upper: Array, chain: Chain, shapes: Shapes, wor
         np.ascontiguousarray(shapes.pairs),
         bool(world.exclusion[3] > 0.0),
         bool(leaves),
+        hidden,
+        hidden_state,
+        0.0 if unseen is None else float(unseen_price),
     )
 
 
@@ -91,7 +118,11 @@ def arm_evaluate(space: ArmSpace, q: Array) -> float:
         return -1.0
     if not arm_check(space, q, space.own_leaves):
         return -1.0
-    return float(space.state.misc[LEAF])
+    price = float(space.state.misc[LEAF])
+    if space.unseen_price > 0.0:
+        call_check(space.unseen[1], space.unseen[0], 1, np.inf)
+        price = with_unseen(price, space.unseen_price, float(space.unseen_state.misc[LEAF]))
+    return price
 
 
 @kernel

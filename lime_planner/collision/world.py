@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from lime_planner.collision.distance_fields import Fields, box_distance
+from lime_planner.collision.distance_fields import Fields, box_distance, lattice_fields
 from lime_planner.core.jit import inline_kernel
-from lime_planner.core.types import Array
+from lime_planner.core.types import Array, Float32
 from lime_planner.planning.prices import BINARY, Prices
 
 CAP_M = 0.5  # larger clearances are reported as this
@@ -68,6 +69,18 @@ def empty_world(fields: Fields, n: int, **values: Any) -> World:
         "prices": Prices(BINARY, 1.0),
     }
     return World(**(parts | values))
+
+
+def unseen_world(places: Float32, voxel_m: float, n: int, pause: Callable[[], None] = lambda: None) -> World:
+    """Make a world of space that no camera has seen: permeable points of price 1, one for each voxel, and nothing else.
+
+    Args:
+        places: (K, 3) middles of the voxels [m].
+        voxel_m: edge of a voxel [m]; an arm that comes closer to the middle of one than half of that is in it.
+        n: number of joints.
+        pause: see `build_fields`.
+    """
+    return empty_world(lattice_fields(places, voxel_m, pause=pause), n, leaf_radius=0.5 * voxel_m, margin=0.0, stem_radius=0.0)
 
 
 @inline_kernel

@@ -115,6 +115,8 @@ class Settings:
     leaf_cost: str = _row("binary", "What a touched leaf costs: `binary` (any contact is 1) or `graded` (grows with the leaf area touched).", choices=("binary", "graded"), shapes_obstacles=True)
     leaf_policy: str = _row("permeable", "`permeable` (leaves cost), `solid` (leaves are obstacles), `ignored` (leaves are free), for comparison.", choices=("permeable", "solid", "ignored"), shapes_obstacles=True)
     max_leaf_contact_rad: float = _row(-1.0, "Refuse paths with more leaf contact than this (LEAF_BUDGET_EXCEEDED); negative: off.", "rad", -1.0, 100.0)
+    unseen_price: float = _row(0.3, "Price of a radian in space that no camera has seen, as a share of a leaf's, added to it; 0: none.", "", 0.0, 1e6)
+    max_unseen_contact_rad: float = _row(-1.0, "Refuse paths with more of their length in unseen space than this (UNSEEN); negative: off.", "rad", -1.0, 100.0)
     beta: float = _row(1.0, "Strength of the adaptive potential field in apf_rrt_star (β).", "", 0.0, 100.0)
     k_att: float = _row(50.0, "Attractive gain of the potential field in joint space (K_att).", "1/rad²", 0.0, 1e9)
     k_rep_leaf: float = _row(2e-4, "Repulsive gain of leaves (K_rep), for workspace distances.", "m²", 0.0, 1e9)

@@ -22,6 +22,7 @@ class Status(enum.Enum):
     NO_PATH = "no path was found within the iteration budget"
     TIMED_OUT = "no path was found within the time budget"
     LEAF_BUDGET_EXCEEDED = "every path found touches more leaves than allowed"
+    UNSEEN = "every path found leads through more space that no camera has seen than allowed"
     PATH_INVALID = "the exact check or the trajectory contract refused the path"
     PREEMPTED = "a newer request took over"
     CANCELLED = "the request was stopped"

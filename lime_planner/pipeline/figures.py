@@ -12,7 +12,7 @@ from lime_planner.collision.joint_space import measure
 from lime_planner.core.geometry import matrix_to_pose
 from lime_planner.core.types import Array
 from lime_planner.pipeline.clearance import StemClearance
-from lime_planner.pipeline.leaf_spans import LeafSpans, leaf_spans
+from lime_planner.pipeline.leaf_spans import LeafSpans, leaf_spans, unseen_spans
 from lime_planner.pipeline.obstacles import Obstacles
 from lime_planner.planning.planner import load_planner
 from lime_planner.robot.model import Robot
@@ -50,13 +50,26 @@ def leaf_profile(obstacles: Obstacles, configurations: Array) -> tuple[Array, Ar
     return leaf, clear
 
 
+def _in_unseen(obstacles: Obstacles, configurations: Array) -> Array:
+    """Tell of configurations (K, n) whether they are in unseen space, 1 or 0."""
+    space, found = obstacles.unseen_space(), np.zeros(len(configurations))
+    if space is None:
+        return found
+    for i, q in enumerate(np.ascontiguousarray(configurations)):
+        measure(space, q)
+        found[i] = space.state.misc[LEAF]
+    return found
+
+
 def _tool_contact_m(robot: Robot, contact: LeafSpans, rows: Array, lengths: Array) -> float:
-    """Length of the tool's way on which any part of the arm touches leaves [m].
+    """Length of the tool's way on which any part of the arm touches what `contact` is about [m].
 
     Args:
         robot, contact: the arm, and where it touches leaves.
         rows: (K, n) the path, sampled; lengths: (K,) along it [rad].
     """
+    if not len(contact.spans):
+        return 0.0
     borders = contact.spans[:, :2].ravel()
     at = np.unique(np.concatenate([lengths, np.clip(borders, 0.0, lengths[-1])]))
     columns = [np.interp(at, lengths, column) for column in rows.T]
@@ -69,24 +82,31 @@ def path_figures(obstacles: Obstacles, waypoints: Array, T_base_tool: Array | No
     """The figures of `PlanResult` that describe a path (M, n), straight from waypoint `straight_from` on."""
     robot, settings = obstacles.robot, obstacles.settings
     rows, lengths = sample_path(waypoints, MEASURED_STEP_RAD)
-    contact = leaf_spans(obstacles, waypoints)
+    contact, unseen = leaf_spans(obstacles, waypoints), unseen_spans(obstacles, waypoints)
     length = float(lengths[-1])
     poses = np.array([robot.forward(q) for q in rows])
     hops = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1)
     at_nodes, _ = leaf_profile(obstacles, waypoints)
     metric = load_planner(settings.planner).metric(settings)
     collision = settings.c_perm * float(at_nodes.sum()) if metric == "node" else settings.weight * contact.charged_rad
+    if metric == "node":
+        hidden = settings.c_perm * settings.unseen_price * float(_in_unseen(obstacles, waypoints).sum())
+    else:
+        hidden = settings.weight * settings.unseen_price * unseen.charged_rad
     keep = np.unique(np.linspace(0, len(rows) - 1, min(len(rows), _MAX_TOOL_POSES)).round().astype(int))
     figures: dict[str, Any] = {
-        "cost": length + collision,
+        "cost": length + collision + hidden,
         "cost_metric": metric,
         "path_length_rad": length,
-        "cost_error": 0.0 if metric == "node" else settings.weight * contact.doubt_rad,
+        "cost_error": 0.0 if metric == "node" else settings.weight * (contact.doubt_rad + settings.unseen_price * unseen.doubt_rad),
         "collision_cost": collision,
         "n_collision_nodes": int((at_nodes > 0.0).sum()),
         "leaf_contact_rad": contact.contact_rad,
         "tool_path_length_m": float(hops.sum()),
         "tool_leaf_contact_m": _tool_contact_m(robot, contact, rows, lengths),
+        "views": obstacles.views,
+        "unseen_contact_rad": unseen.contact_rad,
+        "tool_unseen_m": _tool_contact_m(robot, unseen, rows, lengths),
         "min_stem_clearance_m": StemClearance(obstacles).smallest(rows),
         "waypoints": waypoints,
         "tool_path": matrix_to_pose(poses[keep]),

@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lime_planner.collision.edge_cost import arm_charge
+from lime_planner.collision.joint_space import ArmSpace
 from lime_planner.core.types import Array, Bool
 from lime_planner.pipeline.obstacles import Obstacles
 
@@ -71,7 +72,16 @@ def leaf_spans(obstacles: Obstacles, waypoints: Array) -> LeafSpans:
         obstacles: the scene.
         waypoints: (M, n) [rad], M at least 1.
     """
-    space = obstacles.measuring_space()
+    return _spans(obstacles.measuring_space(), waypoints)
+
+
+def unseen_spans(obstacles: Obstacles, waypoints: Array) -> LeafSpans:
+    """Find where along a polyline the arm is in space that no camera has seen, at price 1; see `leaf_spans`."""
+    space = obstacles.unseen_space()
+    return LeafSpans(np.zeros((0, 3)), 0.0) if space is None else _spans(space, waypoints)
+
+
+def _spans(space: ArmSpace, waypoints: Array) -> LeafSpans:
     found, doubt, along = [np.zeros((0, 3))], 0.0, 0.0
     for a, b in itertools.pairwise(np.ascontiguousarray(waypoints, dtype=np.float64)):
         length = float(np.linalg.norm(b - a))

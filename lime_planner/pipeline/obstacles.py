@@ -12,7 +12,7 @@ from lime_planner.collision.distance_fields import build_fields
 from lime_planner.collision.exact import ExactChecker
 from lime_planner.collision.joint_space import ArmSpace, make_arm_space
 from lime_planner.collision.link_shapes import Shapes
-from lime_planner.collision.world import World, empty_world
+from lime_planner.collision.world import World, empty_world, unseen_world
 from lime_planner.core.parameters import Settings
 from lime_planner.core.types import Array, Float32
 from lime_planner.pipeline.context import ask, never
@@ -20,9 +20,11 @@ from lime_planner.pipeline.spots import Spot, exclusion, hard_points, spared
 from lime_planner.planning.prices import BINARY, GRADED, price_of_points
 from lime_planner.robot.model import Robot
 from lime_planner.scene.scene import Scene
+from lime_planner.scene.views.seen_map import SeenMap, make_seen_map
 from lime_planner.scene.voxels import thin
 
 LEAF_VOXEL_M = 0.004  # leaves are thinned to this: about the leaf points' own radius
+UNSEEN_VOXEL_M = 0.01  # unseen space is priced by voxels of this edge
 _BEYOND_REACH_M = 0.1
 _MEASURED_CLEARANCE_M = 0.05  # clearances are looked for up to this when a path is measured
 _MARGIN_SLOPE = 0.02  # m per rad: how fast the margin is regained on leaving a start or goal that has less
@@ -39,6 +41,8 @@ class Obstacles:
         settings: as used.
         spot: place of the target, None without one.
         counts: what was used and hidden.
+        unseen: the space that no camera has seen, None where everything counts as seen.
+        views: how many views the scene was seen from, 0 where that is not known.
     """
 
     robot: Robot
@@ -49,11 +53,16 @@ class Obstacles:
     settings: Settings
     spot: Spot | None
     counts: dict[str, int]
+    unseen: World | None = None
+    views: int = 0
 
     def space(self, lower: Array, upper: Array, *, leaves: bool | None = None) -> ArmSpace:
         """A joint space with memory of its own; leaves matter unless they are ignored by the settings or by the argument."""
         matter = self.settings.leaf_policy != "ignored" if leaves is None else leaves
-        return make_arm_space(lower, upper, self.robot.chain, self.shapes, self.world, leaves=matter)
+        price = self.settings.unseen_price
+        return make_arm_space(
+            lower, upper, self.robot.chain, self.shapes, self.world, leaves=matter, unseen=self.unseen, unseen_price=price
+        )
 
     def measuring_space(self, *, stems_alone: bool = False) -> ArmSpace:
         """A space that takes every configuration and measures clearances farther out.
@@ -67,6 +76,11 @@ class Obstacles:
             nothing = empty_world(measuring.fields, self.robot.n)
             measuring = measuring._replace(boxes=nothing.boxes, floor_z=nothing.floor_z, workspace=nothing.workspace)
         return make_arm_space(-unlimited, unlimited, self.robot.chain, self.shapes, measuring)
+
+    def unseen_space(self) -> ArmSpace | None:
+        """A space in which unseen space is all there is, as leaves of price 1; None where everything counts as seen."""
+        unlimited = np.full(self.robot.n, 1e9)
+        return None if self.unseen is None else make_arm_space(-unlimited, unlimited, self.robot.chain, self.shapes, self.unseen)
 
     def with_anchors(self, anchors: Array, needs: Array) -> Obstacles:
         """The same with less clearance required at some configurations.
@@ -142,8 +156,31 @@ def _exact_checker(
     )
 
 
+def seen_map_of(robot: Robot, scene: Scene) -> SeenMap:
+    """Map what the views of a scene show of the space in an arm's reach."""
+    return make_seen_map(scene, UNSEEN_VOXEL_M, reach_m=robot.reach_m + _BEYOND_REACH_M)
+
+
+def _unseen(robot: Robot, seen: SeenMap, spot: Spot | None, settings: Settings, pause: Callable[[], None]) -> World | None:
+    """The unseen space in reach, without the inside of the fruit at a spot, which is known to be fruit."""
+    places = seen.unseen
+    reach = robot.reach_m + _BEYOND_REACH_M
+    places = places[np.einsum("ij,ij->i", places, places) <= reach * reach]
+    if spot is not None:
+        radius_m = settings.fruit_radius_m if spot.fruit_radius_m is None else spot.fruit_radius_m
+        offset = places - np.array(spot.centre, dtype=np.float32)
+        places = places[np.einsum("ij,ij->i", offset, offset) > radius_m * radius_m]
+    return unseen_world(places, seen.voxel_m, robot.n, pause) if len(places) else None
+
+
 def prepare(
-    robot: Robot, shapes: Shapes, scene: Scene, spot: Spot | None, settings: Settings, should_stop: Callable[[], bool] = never
+    robot: Robot,
+    shapes: Shapes,
+    scene: Scene,
+    spot: Spot | None,
+    settings: Settings,
+    should_stop: Callable[[], bool] = never,
+    seen: SeenMap | None = None,
 ) -> Obstacles:
     """Build fields and obstacles.
 
@@ -153,6 +190,7 @@ def prepare(
         spot: place of the target, or None for a check without one.
         settings: radii, margins, keep-outs, leaf policy.
         should_stop: cancels.
+        seen: what the scene's views show (`seen_map_of`); None where everything counts as seen.
 
     Raises:
         Refusal: CANCELLED.
@@ -193,4 +231,5 @@ def prepare(
         slope=_MARGIN_SLOPE,
         prices=prices,
     )
-    return Obstacles(robot, shapes, world, hard, thinned, settings, spot, counts)
+    unseen = None if seen is None or not len(seen.unseen) else _unseen(robot, seen, spot, settings, lambda: ask(should_stop))
+    return Obstacles(robot, shapes, world, hard, thinned, settings, spot, counts, unseen, 0 if seen is None else len(seen.views))

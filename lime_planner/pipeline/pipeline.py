@@ -24,7 +24,7 @@ from lime_planner.pipeline.context import Clock, ask, checked_deadline, checked_
 from lime_planner.pipeline.figures import path_figures, sample_path
 from lime_planner.pipeline.goals import Goals, examine_start
 from lime_planner.pipeline.grasps.goals import goals_of
-from lime_planner.pipeline.obstacles import Obstacles, prepare, stem_checker
+from lime_planner.pipeline.obstacles import Obstacles, prepare, seen_map_of, stem_checker
 from lime_planner.pipeline.plausibility import doubts_about
 from lime_planner.pipeline.result import PlanResult, set_parameters
 from lime_planner.pipeline.search import search
@@ -36,6 +36,7 @@ from lime_planner.planning.space import line, one
 from lime_planner.robot.model import Robot, home
 from lime_planner.scene import voxels
 from lime_planner.scene.scene import Scene
+from lime_planner.scene.views.seen_map import SeenMap
 
 _FINISH_S = 0.4  # of a deadline, left for certificate, figures and timing
 _RETRY_MARGIN_M = 0.003  # added to the margin when the exact check refuses a path
@@ -51,6 +52,7 @@ class Pipeline:
         self.robot = robot
         self._shapes: Shapes | None = None
         self._kept: tuple[Scene, tuple[Any, ...], Obstacles] | None = None
+        self._seen: tuple[Scene, SeenMap] | None = None
 
     @property
     def shapes(self) -> Shapes:
@@ -70,7 +72,7 @@ class Pipeline:
         T = self.robot.forward(q + 0.2)
         apart = T[:3, 3] + np.array([0.0, 0.0, 0.4])
         points = apart + np.random.default_rng(0).uniform(-0.05, 0.05, (64, 3))
-        scene = Scene.from_points(points, np.arange(64) % 2, frame_id=self.robot.planning_frame)
+        scene = Scene.from_points(points, np.arange(64) % 2, frame_id=self.robot.planning_frame, viewpoints=apart[None] + 0.2)
         settings = settings_from({"ik_starts": 10, "leaf_speed_scale": 0.9, "floor_z_m": -5.0})
         for aim in (fruit_target(T[:3, 3], 0.02), candidates_target(T[None])):
             with contextlib.suppress(Refusal):  # what becomes of them does not matter here
@@ -104,8 +106,16 @@ class Pipeline:
         key = (spot, obstacle_settings(settings))
         kept = self._kept  # read and written whole: another thread may ask at the same time
         if kept is None or kept[0] is not scene or kept[1] != key:
-            kept = self._kept = (scene, key, prepare(self.robot, self.shapes, scene, spot, settings, should_stop))
+            seen = self.seen_map(scene)
+            kept = self._kept = (scene, key, prepare(self.robot, self.shapes, scene, spot, settings, should_stop, seen))
         return dataclasses.replace(kept[2], settings=settings)
+
+    def seen_map(self, scene: Scene) -> SeenMap:
+        """Map what a scene's views show in the arm's reach; that of the last call if it was for the same scene."""
+        kept = self._seen  # read and written whole, as in `obstacles`
+        if kept is None or kept[0] is not scene:
+            kept = self._seen = (scene, seen_map_of(self.robot, scene))
+        return kept[1]
 
     def plan(
         self,
@@ -178,6 +188,11 @@ class Pipeline:
             if limit >= 0.0 and figures["leaf_contact_rad"] > limit:
                 sentence = f"the least leaf contact found is {figures['leaf_contact_rad']:.3f} rad, allowed are {limit:.3f} rad"
                 raise Refusal(Status.LEAF_BUDGET_EXCEEDED, sentence)
+            limit = settings.max_unseen_contact_rad
+            if limit >= 0.0 and figures["unseen_contact_rad"] > limit:
+                views = "1 view" if obstacles.views == 1 else f"{obstacles.views} views"
+                sentence = f"{figures['unseen_contact_rad']:.3f} rad of the best path lie in space that {views} did not show"
+                raise Refusal(Status.UNSEEN, f"{sentence}, allowed are {limit:.3f} rad")
             straight = slice(straight_from, len(path))
             figures["trajectory"] = timed_motion(obstacles, checker, path, q, settings, clock, ended, straight)
         except Refusal as refusal:
@@ -189,7 +204,7 @@ class Pipeline:
             f"{len(path)} waypoints over {figures['path_length_rad']:.2f} rad, {figures['leaf_contact_rad']:.3f} rad of it among "
             f"leaves, stems at least {1e3 * figures['min_stem_clearance_m']:.1f} mm away, "
             f"{figures['trajectory'].duration_s:.1f} s of motion, planned in {clock.elapsed():.2f} s"
-            f"{_approach(figures, settings)}"
+            f"{_approach(figures, settings)}{_unseen_part(figures)}"
         )
         return outcome(Status.SUCCEEDED, sentence)
 
@@ -216,7 +231,7 @@ class Pipeline:
         inside = np.clip(q, self.robot.lower, self.robot.upper)
         goals = goals_of(obstacles, checker, aim, inside, np.random.default_rng(seed), should_stop)
         counts |= {"ik_solutions": goals.found, "goals": len(goals.configurations)}
-        figures |= {"grasps_tried": goals.tried, "grasps_free": goals.free}
+        figures |= {"grasps_tried": goals.tried, "grasps_free": goals.free, "views": obstacles.views}
         if goals.approaches is not None:
             figures |= {"approaches": matrix_to_pose(goals.approaches.poses), "approach_outcomes": goals.approaches.outcomes}
         clock.lap("inverse_kinematics")
@@ -381,6 +396,13 @@ class Pipeline:
             return None
         spot = result.target.spot(scene, settings)
         return dataclasses.replace(spot, picked=True) if result.back else spot
+
+
+def _unseen_part(figures: dict[str, Any]) -> str:
+    """Say how much of the path no camera has seen, where the views are known."""
+    if not figures["views"]:
+        return ""
+    return f"; {figures['unseen_contact_rad']:.2f} rad of it in space that no view shows ({figures['views']} known)"
 
 
 def _approach(figures: dict[str, Any], settings: Settings) -> str:

@@ -27,6 +27,7 @@ ROWS: tuple[tuple[str, str, str, float, int], ...] = (
     ("tool_path_length_m", "path length, tool", "m", 1.0, 3),
     ("leaf_contact_rad", "leaf contact, joints", "rad", 1.0, 2),
     ("tool_leaf_contact_m", "leaf contact, tool", "m", 1.0, 3),
+    ("unseen_contact_rad", "in unseen space, joints", "rad", 1.0, 2),
     ("min_stem_clearance_m", "smallest clearance to stems", "mm", 1000.0, 1),
 )
 
@@ -41,6 +42,8 @@ NUMBERS = (
     "tool_path_length_m",
     "tool_leaf_contact_m",
     "min_stem_clearance_m",
+    "unseen_contact_rad",
+    "tool_unseen_m",
     "straight_approach_m",
     "goal_error_m",
     "goal_error_rad",
@@ -69,6 +72,9 @@ class PlanResult:
         tool_leaf_contact_m: length of its part with leaf contact anywhere on the arm.
         min_stem_clearance_m: smallest distance between arm and stem points' surface along the path, points hidden by the exclusion
             sphere left out; 0.5 where it is more, or without any.
+        views: from how many places the scene was seen, 0 where that is not known: then everything counts as seen.
+        unseen_contact_rad: length of the path in space that none of these views shows.
+        tool_unseen_m: length of the tool's way with any part of the arm there.
         goal_error_m: distance of the tool at the end from the target.
         goal_error_rad: angle between the two.
         waypoints: (M, n) [rad].
@@ -105,6 +111,9 @@ class PlanResult:
     tool_path_length_m: float = float("nan")
     tool_leaf_contact_m: float = float("nan")
     min_stem_clearance_m: float = float("nan")
+    views: int = 0
+    unseen_contact_rad: float = float("nan")
+    tool_unseen_m: float = float("nan")
     goal_error_m: float = float("nan")
     goal_error_rad: float = float("nan")
     waypoints: Array = field(default_factory=lambda: np.zeros((0, 0)))
@@ -193,7 +202,7 @@ class PlanResult:
         values["warnings"] = list(self.warnings)
         values["target_kind"] = None if self.target is None else self.target.kind
         values["grasp"] = None if self.T_base_tool is None or not len(self.waypoints) else matrix_to_pose(self.T_base_tool).tolist()
-        for name in ("iterations", "n_collision_nodes", "grasps_tried", "grasps_free", "straight_from"):
+        for name in ("iterations", "n_collision_nodes", "grasps_tried", "grasps_free", "straight_from", "views"):
             values[name] = int(getattr(self, name))
         for name in NUMBERS:
             value = float(getattr(self, name))

@@ -7,7 +7,8 @@ Every permeable point has a *price*: the price of its class (`class_costs`, 1 fo
 - `GRADED`: their sum over patches of the surface, in units of about one leaf.
 
 A path costs J = ∫ (1 + w · price) ds. A class with another price is a row of the parameter `class_costs`, and nothing here changes.
-Something with a price that is no point is one more summand of the integrand: an argument of `stretch_cost` beside `charged`.
+Something with a price that is no point is one more summand of the price. There is one: space that no camera has seen costs its own share
+of a leaf's price (`unseen_price`), added to what is touched there, once, however much of it the arm is in (`with_unseen`).
 """
 
 from __future__ import annotations
@@ -72,6 +73,12 @@ def with_body(prices: Any, price: Any, body: Any) -> Any:
 def is_settled(prices: Any, price: Any) -> Any:
     """Whether nothing further that is touched can change a price."""
     return prices.mode == BINARY and price >= prices.top
+
+
+@inline_kernel
+def with_unseen(price: Any, share: Any, unseen: Any) -> Any:
+    """Price with that of unseen space, `share` of a leaf's: of a configuration, 0 or 1 of it there, or of a stretch with ∫ unseen ds."""
+    return price + share * unseen
 
 
 @inline_kernel

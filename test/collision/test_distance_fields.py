@@ -8,7 +8,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
-from lime_planner.collision.distance_fields import EMPTY_DISTANCE_M, Fields, PointHash, build_fields, hash_points, lower_bound, sample
+from lime_planner.collision.distance_fields import (
+    EMPTY_DISTANCE_M,
+    Fields,
+    PointHash,
+    build_fields,
+    hash_points,
+    lattice_fields,
+    lower_bound,
+    sample,
+)
 from lime_planner.core.jit import kernel
 
 NONE = np.zeros((0, 3))
@@ -59,6 +68,18 @@ def test_nodes_are_exact_near_points_and_never_above_the_truth(rng: np.random.Ge
         np.testing.assert_allclose(values[near], exact[near], atol=1e-6)
         assert (values <= exact + 1e-6).all()
         assert (exact - values).max() <= 1.8 * fields.spacing_m
+
+
+def test_a_lattice_is_exact_at_every_node(rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch) -> None:
+    places = np.float32([0.4, -0.3, 0.105]) + np.float32(0.01) * rng.integers(0, 25, (300, 3)).astype(np.float32)
+    fields = lattice_fields(places, 0.01)
+    exact = truth(places, nodes(fields))
+    np.testing.assert_allclose(fields.values[..., 1], exact, atol=1e-6)
+    assert (fields.values[..., 0] == EMPTY_DISTANCE_M).all() and fields.present.tolist() == [0, 1]
+    anywhere = rng.uniform(-0.2, 1.0, (5000, 3))
+    assert (look_up(fields, anywhere)[:, 3] <= truth(places, anywhere) + 1e-6).all()
+    monkeypatch.setattr("lime_planner.collision.distance_fields._MAX_NODES", 10_000)  # too wide a spread: as for any points
+    assert np.prod(lattice_fields(places, 0.01).values.shape[:3]) <= 10_000
 
 
 @pytest.mark.parametrize("spacing", [0.003, 0.01, 0.05])

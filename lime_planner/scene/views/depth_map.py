@@ -4,7 +4,8 @@ A cube takes every field of view, a sensor inside the plant included, and needs 
 
 - the distance of its farthest hit: space nearer than that was passed by a ray, space beyond it lies in the shadow of what was hit;
 - the nearest of its neighbours' where it is a hole of the sampling, a cell without a hit among cells that have one;
-- infinity where rays met nothing inside the picture, the outline of all hits: there was nothing to meet, or the cloud was cropped there;
+- infinity where rays met nothing inside the picture, the outline of all hits: there was nothing to meet, or the cloud was cropped there
+  (where hits are so few that cells between them stay empty, only if no cell beside it has a hit either);
 - zero outside the picture, where nothing is known.
 """
 
@@ -21,6 +22,7 @@ from lime_planner.core.types import Array, Float32
 
 _SMALLEST_CELLS, _MOST_CELLS = 32, 768  # along an edge of a face: 2.8° and 0.12° at its middle
 _HITS_AROUND_HOLE = 4  # of the eight cells around a cell without a hit; fewer make a gap in the plant
+_DENSE = 3.0  # hits for each cell that has any: then an empty cell is a gap, whatever is beside it
 _OUTLINE_DIRECTIONS = 32  # of the polygon that is drawn around a picture
 _OUTLINE_POINTS = 5000  # looked at to draw it
 _WIDEST_PICTURE_COS = 0.2  # a picture whose hits lie farther than 78° from its middle has no outline: the sensor stands in the plant
@@ -76,8 +78,8 @@ def _draw(points: Any, origin: Any, cells: int) -> Any:
 
 
 @kernel
-def _complete(hit: Any, outline: Any) -> Any:
-    """Fill the holes of the sampling, and open what lies inside the outline, (E, 3) normals that point inwards, without a hit nearby."""
+def _complete(hit: Any, outline: Any, beside: int) -> Any:
+    """Fill the holes of the sampling, and open cells inside the outline, (E, 3) normals that point inwards, with few hits beside them."""
     cells = hit.shape[1]
     depths = hit.copy()
     held = np.zeros(cells, np.bool_)  # rows with a hit
@@ -99,7 +101,7 @@ def _complete(hit: Any, outline: Any) -> Any:
                                 nearest = min(nearest, hit[face, r, c])
                 if hits >= _HITS_AROUND_HOLE:
                     depths[face, row, column] = nearest
-                if hits > 0 or outline.shape[0] == 0:
+                if hits > beside or outline.shape[0] == 0:
                     continue
                 u, v = (2.0 * row + 1.0) / cells - 1.0, (2.0 * column + 1.0) / cells - 1.0
                 if face < 2:
@@ -156,4 +158,6 @@ def make_depth_map(hits: npt.ArrayLike, origin: npt.ArrayLike, cell_m: float) ->
     middle_m = float(np.median(away[known])) if known.any() else 1.0
     cells = int(np.clip(np.ceil(2.0 * middle_m / max(cell_m, 1e-4)), _SMALLEST_CELLS, _MOST_CELLS))
     outline = _outline(some[known] / away[known, None])
-    return DepthMap(place, _complete(_draw(points, place, cells), outline))
+    drawn = _draw(points, place, cells)
+    dense = len(points) >= _DENSE * np.count_nonzero(drawn)
+    return DepthMap(place, _complete(drawn, outline, _HITS_AROUND_HOLE - 1 if dense else 0))
