@@ -16,6 +16,7 @@ from benchmarks.scale import report as scale
 from lime_planner.experiments.analysis.bootstrap import median
 from lime_planner.experiments.analysis.tables import markdown_table
 from lime_planner.experiments.damage import report as damage
+from lime_planner.experiments.hidden import report as hidden
 from lime_planner.experiments.runs.results_file import machine_text
 
 Results = dict[str, Any]
@@ -212,6 +213,12 @@ BLOCKS: dict[str, Block] = {
     "damage.scans-paired": (("damage",), partial(damage.paired_table, density="scan", other="ignored")),
     "damage.status": (("damage",), damage.status_table),
     "damage.failures": (("damage",), damage_failures),
+    "hidden.heading": (("hidden",), hidden.heading),
+    "hidden.verdict": (("hidden",), hidden.verdict),
+    "hidden.fixed": (("hidden",), partial(hidden.table, approach="fixed")),
+    "hidden.free": (("hidden",), partial(hidden.table, approach="free")),
+    "hidden.dense": (("hidden",), partial(hidden.table, approach="free", density="dense")),
+    "hidden.failures": (("hidden",), hidden.failures),
     "planners.heading": (("planners",), comparison_heading),
     "planners.verdict": (("planners",), planners_verdict),
     "planners.tail": (("planners",), planners_tail),

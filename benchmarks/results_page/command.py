@@ -22,6 +22,7 @@ FIGURES = (
     ("lime", "simulation.png", "results-lime.png"),
     ("damage", "damage.png", "results-damage.png"),
     ("damage", "damage_pairs.png", "results-damage-pairs.png"),
+    ("hidden", "hidden.png", "results-hidden.png"),
     ("planners", "cost_against_time.png", "results-planners.png"),
     ("peers", "cost_against_time.png", "results-peers-time.png"),
     ("peers", "cost_against_checks.png", "results-peers-checks.png"),

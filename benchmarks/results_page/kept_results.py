@@ -99,6 +99,13 @@ def _restore_damage(data: Mapping[str, Any]) -> Results:
     return _without(data, "trials", "columns") | {"trials": trials}
 
 
+def _keep_hidden(results: Mapping[str, Any]) -> Results:
+    trials = []
+    for t in results["trials"]:
+        trials.append({**t, "methods": {name: _without(m, "sentence") for name, m in t["methods"].items()}})
+    return _without(results, "trials") | {"trials": trials}
+
+
 def _keep_comparison(results: Mapping[str, Any]) -> Results:
     from benchmarks.planners.report import CHECK_MARKS
 
@@ -131,6 +138,7 @@ def _same(data: Mapping[str, Any]) -> Results:
 FORMS: dict[str, tuple[Callable[[Mapping[str, Any]], Results], Callable[[Mapping[str, Any]], Results]]] = {
     "lime": (_keep_lime, _restore_lime),
     "damage": (_keep_damage, _restore_damage),
+    "hidden": (_keep_hidden, _same),
     "bench planners": (_keep_comparison, _same),
     "bench peers": (_keep_comparison, _same),
     "bench scale": (_keep_scale, _same),

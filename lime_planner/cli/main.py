@@ -65,6 +65,9 @@ COMMANDS = (
     Command(
         ("experiment", "damage"), "lime_planner.experiments.damage.command", "leaves that the arm really touches", "--plants 2 --out damage"
     ),
+    Command(
+        ("experiment", "hidden"), "lime_planner.experiments.hidden.command", "stems that no camera saw, touched", "--plants 2 --out hidden"
+    ),
     Command(("experiment", "report"), "benchmarks.results_page.command", "write the results page from what runs found", "lime damage"),
     Command(("bench", "kernels"), "benchmarks.kernels.command", "time of the compiled kernels"),
     Command(("bench", "planners"), "benchmarks.planners.command", "the package's own planners, as published and to use", "--out planners"),

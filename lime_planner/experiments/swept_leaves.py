@@ -26,7 +26,7 @@ from lime_planner.scene.voxels import thin
 STEP_M = 0.002  #: no point of the arm moves farther between two looks
 PATCH_M = 0.004  #: edge of the patch of leaf that a scan's point stands for
 CELL_M = 0.003  #: leaves are cut into triangles with edges up to this, each swept or not as its centre is
-_FINE_RAD = 0.002  # the motion is first sampled this finely, then thinned by how far the arm's points move
+FINE_RAD = 0.002  # the motion is first sampled this finely, then thinned by how far the arm's points move
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,7 +126,7 @@ def leaf_cells(triangles: Array, cell_m: float = CELL_M) -> tuple[Array, Array, 
     return np.concatenate(centres), np.concatenate(areas), np.concatenate(owners)
 
 
-class _Sweeper:
+class Sweeper:
     """Asks which of a set of balls the links of an arm come near to along a motion."""
 
     def __init__(self, robot: Robot) -> None:
@@ -171,7 +171,7 @@ class LeafTruth:
 
         if scene.leaf_triangles is None or scene.leaf_triangle_ids is None:
             raise SceneError("the scene has no leaf_triangles; only generated plants have them")
-        self._fcl, self._sweeper = fcl, _Sweeper(robot)
+        self._fcl, self._sweeper = fcl, Sweeper(robot)
         self._triangles = scene.leaf_triangles.astype(np.float64)
         self._ids = scene.leaf_triangle_ids.astype(np.int64)
         self._numbers = np.unique(self._ids)
@@ -192,7 +192,7 @@ class LeafTruth:
 
     def swept(self, trajectory: Trajectory) -> Swept:
         """Find the leaves and the area that a motion sweeps through."""
-        motion = motion_samples(self._sweeper.robot, trajectory.configurations(_FINE_RAD))
+        motion = motion_samples(self._sweeper.robot, trajectory.configurations(FINE_RAD))
         cut = self._cut(motion)
         centres, areas, _ = leaf_cells(self._triangles[np.isin(self._ids, self._numbers[cut])])
         area = float(areas[self._sweeper.reached(motion, centres, STEP_M / 2.0)].sum())
@@ -219,13 +219,13 @@ class CloudTruth:
 
     def __init__(self, robot: Robot, scene: Scene) -> None:
         """Take the leaf points of a scene, one of each voxel of `PATCH_M`."""
-        self._sweeper = _Sweeper(robot)
+        self._sweeper = Sweeper(robot)
         kept, _ = thin(scene.leaf_points, PATCH_M) if len(scene.leaf_points) else (np.zeros(0, np.int32), None)
         self._points = scene.leaf_points[kept].astype(np.float64)
 
     def swept_area_m2(self, trajectory: Trajectory) -> float:
         """Return the area of the patches that come within `STEP_M` of a link's surface."""
-        motion = motion_samples(self._sweeper.robot, trajectory.configurations(_FINE_RAD))
+        motion = motion_samples(self._sweeper.robot, trajectory.configurations(FINE_RAD))
         return float(self._sweeper.reached(motion, self._points, STEP_M).sum()) * PATCH_M**2
 
 

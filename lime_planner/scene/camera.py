@@ -145,6 +145,20 @@ def visible_points(
     return seen, np.ascontiguousarray(moved @ rotation.T + origin, dtype=np.float32)
 
 
+def in_sight(
+    places: npt.ArrayLike, T_base_camera: Array, things: Float32, *, camera: Camera | None = None, point_radius_m: float = 0.004
+) -> Bool:
+    """Tell which places (N, 3) a camera would see, (N,): inside its picture, and not behind any of the `things` (M, 3) [m]."""
+    lens = camera or Camera()
+    rotation, origin = T_base_camera[:3, :3], T_base_camera[:3, 3]
+    local, hiding = (
+        np.ascontiguousarray((np.asarray(points, np.float64).reshape(-1, 3) - origin) @ rotation, np.float32) for points in (places, things)
+    )
+    picture = _depth_picture(hiding, point_radius_m, lens.focal_px, lens.width, lens.height, lens.nearest_m, lens.farthest_m)
+    result: Bool = _visible(local, picture, lens.focal_px, point_radius_m, lens.nearest_m, lens.farthest_m)
+    return result
+
+
 def seen_scene(
     scene: Scene,
     viewpoints: Sequence[npt.ArrayLike],
@@ -172,16 +186,64 @@ def seen_scene(
     """
     if not len(viewpoints):
         raise ProblemError("there is no viewpoint: at least one camera must look at the scene")
+    points = np.concatenate([scene.leaf_points, scene.stem_points, scene.fruit_points])
+    aim = points.mean(axis=0) if target is None else np.asarray(target, dtype=np.float64)
+    views = [View(look_at(origin, aim)) for origin in viewpoints]
+    return seen_in_views(scene, views, camera=camera, point_radius_m=point_radius_m, rng=rng)
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """One picture that a camera takes.
+
+    Attributes:
+        T_base_camera: (4, 4) where the camera is, +z forwards.
+        blockers: (B, 3) points of what else is in the picture, the arm [m]; None for nothing.
+        seed: of this picture's noise and drop-outs, so that it stays the same when others join it; None for the common generator.
+    """
+
+    T_base_camera: Array
+    blockers: Float32 | None = None
+    seed: int | None = None
+
+
+def seen_in_views(
+    scene: Scene,
+    views: Sequence[View],
+    *,
+    camera: Camera | None = None,
+    point_radius_m: float = 0.004,
+    rng: np.random.Generator | None = None,
+) -> Scene:
+    """Return what cameras see of a scene from given poses, with what else was in their pictures as blocking points.
+
+    Args:
+        scene: the whole plant.
+        views: the pictures, at least one.
+        camera: the same for all.
+        point_radius_m: see `visible_points`.
+        rng: see `visible_points`; for the views without a seed of their own.
+
+    Returns:
+        See `seen_scene`.
+    """
     classes = (scene.leaf_points, scene.stem_points, scene.fruit_points)
     points = np.concatenate(classes)
-    aim = points.mean(axis=0) if target is None else np.asarray(target, dtype=np.float64)
     places = points.copy()
     seen_by: Int16 = np.full(len(points), -1, dtype=np.int16)
-    for number, origin in enumerate(viewpoints):
-        seen, taken = visible_points(points, look_at(origin, aim), camera=camera, point_radius_m=point_radius_m, rng=rng)
+    blocking, blocking_by = [np.empty((0, 3), np.float32)], [np.empty(0, np.int16)]
+    for number, view in enumerate(views):
+        chance = rng if view.seed is None else np.random.default_rng(view.seed)
+        seen, taken = visible_points(
+            points, view.T_base_camera, camera=camera, blockers=view.blockers, point_radius_m=point_radius_m, rng=chance
+        )
         new = seen & (seen_by < 0)
         seen_by[new] = number
         places[new] = taken[new]
+        if view.blockers is not None and len(view.blockers):
+            shown = view.blockers[in_sight(view.blockers, view.T_base_camera, points, camera=camera, point_radius_m=point_radius_m)]
+            blocking.append(shown)
+            blocking_by.append(np.full(len(shown), number, np.int16))
     ends = np.cumsum([len(part) for part in classes])[:2]
     leaf, stem, fruit = np.split(places, ends)
     leaf_ids, stem_ids, fruit_ids = np.split(seen_by, ends)
@@ -190,9 +252,11 @@ def seen_scene(
         leaf_points=leaf,
         stem_points=stem,
         fruit_points=fruit,
-        viewpoints=np.asarray(viewpoints, dtype=np.float32),
+        viewpoints=np.array([view.T_base_camera[:3, 3] for view in views], dtype=np.float32),
         leaf_view_ids=leaf_ids,
         stem_view_ids=stem_ids,
         fruit_view_ids=fruit_ids,
+        blocking_points=np.concatenate(blocking),
+        blocking_view_ids=np.concatenate(blocking_by),
     )
     return subset(whole, leaf_ids >= 0, stem_ids >= 0, fruit_ids >= 0, reason="not_seen")

@@ -1,0 +1,178 @@
+"""Where to look next: the view that shows most of the unseen space that the best way to a target passes, and the motion there.
+
+Candidates stand on spheres around that space and look at its middle. A view's worth is the number of unseen voxels of the way that it
+would show, as far as is known: what was seen hides what is behind it; what was not seen is taken to hide nothing. The best views are
+handed to the planner as poses of the tool that carries the camera: it chooses the one that is cheapest to get to, through seen space only.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from lime_planner.collision.touched_points import touched_points
+from lime_planner.core.parameters import Settings
+from lime_planner.core.types import Array, Float32
+from lime_planner.pipeline.context import never
+from lime_planner.pipeline.figures import sample_path
+from lime_planner.pipeline.pipeline import Pipeline
+from lime_planner.pipeline.result import PlanResult
+from lime_planner.pipeline.targets import Target, candidates_target
+from lime_planner.scene.camera import Camera, in_sight, look_at
+from lime_planner.scene.scene import Scene
+from lime_planner.scene.voxels import thin
+
+#: Where the camera sits on the tool unless something else is said: beside the wrist, looking along the palm's axis.
+T_TOOL_CAMERA = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.07], [0.0, 0.0, 1.0, -0.1], [0.0, 0.0, 0.0, 1.0]])
+
+DISTANCES_M = (0.3, 0.45, 0.6)  #: of candidate views from the middle of what they are to show
+DIRECTIONS = 48  #: of candidate views, spread evenly
+CLEAR_M = 0.12  #: a camera keeps this far from every point of the plant
+MOST_VIEWS = 6  #: handed to the planner in one go, each with `ROLLS` turns about its axis
+ROLLS = 4
+LEAST_SHARE = 0.05  #: of the voxels of the way; a view that shows less is not worth a motion
+NEXT_BEST = 0.5  #: views that show less than this share of what the best one does are left out
+AROUND_WAY_M = 0.01  #: voxels this close to the arm on its way count as passed
+AROUND_TARGET_M = 0.12  #: without a way: the unseen space that matters, around the target
+ENTERED_RAD = 0.02  #: of a look's path in unseen space at most: the border of a voxel, not a way through
+
+_STEP_RAD = 0.05  # between configurations whose voxels are looked for
+_MOST_VOXELS = 3000  # of the way
+_PICTURE = Camera(width=160, height=120)
+_THING_M = 0.006  # radius of what hides things in such a picture
+
+
+@dataclass(frozen=True, eq=False)
+class Look:
+    """A motion that carries the camera to a view.
+
+    Attributes:
+        plan: the motion, certified; it stays out of unseen space.
+        T_base_camera: (4, 4) of the view.
+        share: of the unseen voxels that matter, which it would show.
+        voxels: how many these are.
+    """
+
+    plan: PlanResult
+    T_base_camera: Array
+    share: float
+    voxels: int
+
+
+def voxels_that_matter(pipeline: Pipeline, scene: Scene, target: Target, plan: PlanResult) -> Float32:
+    """Return the unseen voxels (K, 3) that a plan passes, or those around its target where there is no path [m]."""
+    unseen = pipeline.seen_map(scene).unseen
+    if not len(unseen):
+        return unseen
+    if len(plan.waypoints) < 2:
+        offset = unseen - target.centre
+        around: Float32 = unseen[np.einsum("ij,ij->i", offset, offset) < AROUND_TARGET_M**2]
+        return around
+    rows, _ = sample_path(plan.waypoints, _STEP_RAD)
+    passed: Float32 = unseen[touched_points(pipeline.robot, pipeline.shapes, rows, unseen, AROUND_WAY_M).any(axis=0)]
+    return passed
+
+
+def candidate_views(scene: Scene, voxels: Float32, reach_m: float) -> tuple[Array, Array]:
+    """Return poses T_base_camera (P, 4, 4) that look at the middle of some voxels, and which share of these each shows, (P,); best first.
+
+    Args:
+        scene: what is known.
+        voxels: (K, 3) what is to be shown [m].
+        reach_m: views farther from the base are left out.
+    """
+    some = voxels[:: max(1, len(voxels) // _MOST_VOXELS)]
+    points = np.concatenate([scene.leaf_points, scene.stem_points, scene.fruit_points])
+    things = points[thin(points, _THING_M)[0]] if len(points) else points
+    middle = some.mean(axis=0, dtype=np.float64)
+    poses: list[Array] = []
+    shown: list[float] = []
+    for distance_m in DISTANCES_M:
+        for eye in middle + distance_m * _directions(DIRECTIONS):
+            if not 0.2 < float(np.linalg.norm(eye)) < reach_m or _nearest_m(things, eye) < CLEAR_M:
+                continue
+            T = look_at(eye, middle)
+            share = float(in_sight(some, T, things, camera=_PICTURE, point_radius_m=_THING_M).mean())
+            if share >= LEAST_SHARE:
+                poses.append(T)
+                shown.append(share)
+    order = np.argsort(-np.array(shown), kind="stable")
+    return np.array(poses).reshape(-1, 4, 4)[order], np.array(shown)[order]
+
+
+def _nearest_m(points: Float32, place: Array) -> float:
+    offset = points - place.astype(np.float32)
+    return float(np.sqrt(np.einsum("ij,ij->i", offset, offset).min(initial=np.inf)))
+
+
+def plan_look(
+    pipeline: Pipeline,
+    scene: Scene,
+    target: Target,
+    plan: PlanResult,
+    q_start: Array,
+    settings: Settings,
+    *,
+    T_tool_camera: Array = T_TOOL_CAMERA,
+    should_stop: Callable[[], bool] = never,
+    seed: int = 0,
+) -> Look | None:
+    """Plan the motion to the view that shows most of what a plan has to pass through unseen.
+
+    Args:
+        pipeline: of the arm.
+        scene: what is known; its viewpoints must be known too.
+        target: what the tool is to reach in the end.
+        plan: the best that was found for it with this knowledge, or a refused one.
+        q_start: (n,) where the arm is [rad].
+        settings: of the plan; the look's own differ in what a straight approach is for.
+        T_tool_camera: (4, 4) of the camera in the tool's frame.
+        should_stop: cancels.
+        seed: of the random generator.
+
+    Returns:
+        The look; None where nothing unseen is in the way, no view shows enough of it, or none can be reached through seen space.
+    """
+    voxels = voxels_that_matter(pipeline, scene, target, plan)
+    if not len(voxels):
+        return None
+    poses, shown = candidate_views(scene, voxels, pipeline.robot.reach_m)
+    good = int((shown >= NEXT_BEST * shown[0]).sum()) if len(shown) else 0
+    own = dataclasses.replace(
+        settings,
+        grasp_freedom="exact",
+        approach_distance_m=0.0,
+        min_approach_distance_m=0.0,
+        max_unseen_contact_rad=ENTERED_RAD,
+        max_leaf_contact_rad=-1.0,
+        unseen_price=max(settings.unseen_price, 10.0),
+    )
+    T_camera_tool = np.linalg.inv(T_tool_camera)
+    for first in range(0, good, MOST_VIEWS):
+        if should_stop():
+            return None
+        chosen = poses[first : min(first + MOST_VIEWS, good)]
+        views = np.concatenate([chosen @ _turned(2.0 * np.pi * k / ROLLS) for k in range(ROLLS)])
+        found = pipeline.plan(scene, candidates_target(views @ T_camera_tool), q_start, own, should_stop=should_stop, seed=seed)
+        if found.succeeded and found.T_base_tool is not None:
+            T_base_camera = found.T_base_tool @ T_tool_camera
+            which = int(np.linalg.norm(chosen[:, :3, 3] - T_base_camera[:3, 3], axis=1).argmin())
+            return Look(found, T_base_camera, float(shown[first + which]), len(voxels))
+    return None
+
+
+def _turned(angle_rad: float) -> Array:
+    """A turn about a camera's own axis, (4, 4)."""
+    T, c, s = np.eye(4), np.cos(angle_rad), np.sin(angle_rad)
+    T[:2, :2] = [[c, -s], [s, c]]
+    return T
+
+
+def _directions(count: int) -> Array:
+    """Unit vectors spread evenly (a Fibonacci lattice), (count, 3)."""
+    at = np.arange(count) + 0.5
+    height, turn = 1.0 - 2.0 * at / count, np.pi * (1.0 + 5.0**0.5) * at
+    return np.stack([np.sqrt(1.0 - height**2) * np.cos(turn), np.sqrt(1.0 - height**2) * np.sin(turn), height], axis=1)

@@ -1,0 +1,98 @@
+"""Planned looks: which view is worth a motion, that the motion keeps to seen space, and when there is nothing to look for."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+from arm_helpers import pipeline_of, plant, robot_named, settings
+
+from lime_planner.core.types import Array
+from lime_planner.pipeline.looks import ENTERED_RAD, T_TOOL_CAMERA, Look, candidate_views, plan_look, voxels_that_matter
+from lime_planner.pipeline.result import PlanResult
+from lime_planner.pipeline.targets import pose_target
+from lime_planner.robot.model import home
+from lime_planner.scene.camera import View, in_sight, look_at, seen_in_views, seen_scene
+from lime_planner.scene.scene import Scene
+
+EYE = (-0.4, 0.2, 0.8)
+USED = settings(iterations=1500, ik_starts=100, unseen_price=1.0)
+
+
+@cache
+def partial() -> Scene:
+    return seen_scene(plant(5), [EYE])
+
+
+@cache
+def first_plan() -> PlanResult:
+    target = pose_target(plant(5).target_pose)
+    return pipeline_of().plan(partial(), target, home(robot_named()), USED, seed=1)
+
+
+@cache
+def look() -> Look:
+    found = plan_look(pipeline_of(), partial(), pose_target(plant(5).target_pose), first_plan(), home(robot_named()), USED, seed=1)
+    assert found is not None
+    return found
+
+
+def wall(x: float) -> Array:
+    y, z = np.meshgrid(np.arange(-0.3, 0.3, 0.004), np.arange(0.2, 0.8, 0.004))
+    return np.column_stack([np.full(y.size, x), y.ravel(), z.ravel()])
+
+
+def test_what_stands_before_a_place_hides_it() -> None:
+    place = np.array([[0.6, 0.0, 0.5], [0.6, 0.05, 0.5], [0.3, 0.0, 0.5]])
+    front, back = look_at((-0.2, 0.0, 0.5), place[0]), look_at((1.3, 0.0, 0.5), place[0])
+    things = np.float32(wall(0.5))
+    assert in_sight(place, front, things).tolist() == [False, False, True]
+    assert in_sight(place, back, things).tolist() == [True, True, False]
+    aside = look_at((-0.2, 0.0, 0.5), (-0.2, 1.0, 0.5))
+    assert not in_sight(place, aside, things).any(), "out of the picture"
+
+
+def test_candidates_look_from_where_the_voxels_are_in_sight() -> None:
+    """Behind a wall: the best views stand on the other side of it, and none within it."""
+    scene = Scene.from_points(wall(0.5), np.zeros(len(wall(0.5))), viewpoints=[(0.0, 0.0, 0.5)])
+    voxels = np.float32(np.random.default_rng(0).uniform((0.53, -0.05, 0.45), (0.6, 0.05, 0.55), (200, 3)))
+    poses, shares = candidate_views(scene, voxels, 1.2)
+    assert len(poses) > 3 and (np.diff(shares) <= 0.0).all() and shares[0] > 0.95
+    assert (poses[shares > 0.9, 0, 3] > 0.4).all()
+    assert len(candidate_views(scene, voxels, 0.3)[0]) == 0, "out of reach"
+
+
+def test_a_look_shows_what_the_way_passes_and_stays_out_of_the_unseen() -> None:
+    plan, found = first_plan(), look()
+    assert plan.succeeded and plan.unseen_contact_rad > ENTERED_RAD, plan.message
+    assert found.plan.succeeded and found.plan.unseen_contact_rad <= ENTERED_RAD
+    q = found.plan.waypoints[-1]
+    np.testing.assert_allclose(robot_named().forward(q) @ T_TOOL_CAMERA, found.T_base_camera, atol=2e-3)
+    voxels = voxels_that_matter(pipeline_of(), partial(), pose_target(plant(5).target_pose), plan)
+    assert len(voxels) == found.voxels
+    both = seen_in_views(plant(5), [View(look_at(EYE, plant(5).leaf_points.mean(axis=0))), View(found.T_base_camera)])
+    before, after = ({tuple(v) for v in np.round(pipeline_of().seen_map(s).unseen, 3).tolist()} for s in (partial(), both))
+    assert len(both.stem_points) > len(partial().stem_points)
+    codes = pipeline_of().seen_map(both).classify(voxels)
+    assert (codes == 1).mean() < 0.8, "a fifth of what mattered is seen now"
+    assert len(before) and len(after)
+
+
+def test_nothing_to_look_for() -> None:
+    full = plant(5)
+    target = pose_target(full.target_pose)
+    plan = pipeline_of().plan(full, target, home(robot_named()), USED, seed=1)
+    assert plan_look(pipeline_of(), full, target, plan, home(robot_named()), USED) is None
+    stopped = plan_look(pipeline_of(), partial(), target, first_plan(), home(robot_named()), USED, should_stop=lambda: True)
+    assert stopped is None
+
+
+def test_without_a_way_the_space_around_the_target_matters() -> None:
+    centre = partial().stem_points.mean(axis=0).astype(np.float64)
+    target = pose_target([*centre, 0.0, 0.0, 0.0, 1.0])
+    none = pipeline_of().plan(partial(), pose_target([3.0, 0.0, 0.5, 0.0, 0.0, 0.0, 1.0]), home(robot_named()), USED, seed=1)
+    assert not none.succeeded
+    voxels = voxels_that_matter(pipeline_of(), partial(), target, none)
+    assert len(voxels) and np.linalg.norm(voxels - centre, axis=1).max() < 0.1201
+    assert len(voxels) == pytest.approx((np.linalg.norm(pipeline_of().seen_map(partial()).unseen - centre, axis=1) < 0.12).sum(), abs=1)
