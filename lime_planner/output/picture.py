@@ -16,9 +16,11 @@ from lime_planner.core.geometry import matrix_to_pose
 from lime_planner.core.types import Array, Float32, Int64
 from lime_planner.output.console import headline
 from lime_planner.output.render import Image, Layer, View, cloud_layer, compose, halved, mesh_layer
+from lime_planner.pipeline.obstacles import UNSEEN_VOXEL_M
 from lime_planner.pipeline.result import PlanResult
 from lime_planner.robot.model import Robot
 from lime_planner.scene.scene import Scene
+from lime_planner.scene.views.seen_map import make_seen_map
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -33,10 +35,12 @@ ARM = (0.62, 0.63, 0.66)
 FREE_PATH = (0.00, 0.45, 0.70)
 LEAFY_PATH = (0.84, 0.37, 0.00)
 TARGET = (0.80, 0.10, 0.50)
+UNSEEN = (0.35, 0.30, 0.55)
 
 _START_OPACITY = 0.38
 _LEAF_OVER_ARM = 0.42  #: leaves in front of the arm let it shine through
 _MARGIN_M = 0.06
+_UNSEEN_DEPTH_M = 0.1  #: along the view, from which on unseen space is hatched
 _PANEL_PIXELS = 800  #: height of the views, before halving
 
 
@@ -109,6 +113,7 @@ def draw_picture(
     contact = np.zeros(len(line)) if tool_leaf is None else np.asarray(tool_leaf, dtype=np.float64)
     target = None if target_pose is None else np.asarray(target_pose, dtype=np.float64)
     shown = in_sight(scene, robot)
+    unseen = make_seen_map(scene, UNSEEN_VOXEL_M, reach_m=robot.reach_m).unseen
     low, high = _bounds([*(vertices for vertices, _ in arms), *shown.values(), line])
 
     from matplotlib.figure import Figure
@@ -128,6 +133,7 @@ def draw_picture(
         frame = (starts[place] / width, ceiling - high_inches / height, widths[place] * scale / width, high_inches / height)
         axes = figure.add_axes(frame)
         axes.imshow(_render(view, shown, scene, arms), extent=view.extent, interpolation="antialiased", aspect="equal")
+        _draw_unseen(axes, view, unseen)
         _draw_path(axes, view, line, contact)
         if target is not None:
             _draw_target(axes, view, target)
@@ -139,7 +145,7 @@ def draw_picture(
         axes.set_ylim(view.extent[2:])
         axes.grid(False)
     _colour_bar(figure, (1.0 - (beside - 0.3) / width, floor, 0.16 / width, ceiling - floor), contact)
-    _legend(figure, scene, len(arms) > 1, len(line) > 1, target is not None)
+    _legend(figure, scene, len(arms) > 1, len(line) > 1, target is not None, len(unseen) > 0)
     if title:
         figure.text(left / width, 1.0 - 0.3 / height, title, ha="left", va="center", fontsize=11)
     return _write(figure, path)
@@ -240,6 +246,23 @@ def _draw_path(axes: Axes, view: View, line: Array, contact: Array) -> None:
     axes.plot(*flat[0], marker="o", markersize=7, markerfacecolor="white", markeredgecolor="black", markeredgewidth=1.3, zorder=6)
 
 
+def _draw_unseen(axes: Axes, view: View, places: Float32) -> None:
+    """Hatch where much of the space that is looked through was seen by no camera: `places` (K, 3), middles of voxels."""
+    if not len(places):
+        return
+    left, right, low, high = view.extent
+    across, up, _ = view.project(places.astype(np.float64)).T
+    bins = [np.arange(begin, end + UNSEEN_VOXEL_M, UNSEEN_VOXEL_M) for begin, end in ((left, right), (low, high))]
+    counts, columns, rows = np.histogram2d(across, up, bins=bins)
+    depth_m = counts.T * UNSEEN_VOXEL_M
+    if depth_m.max() < _UNSEEN_DEPTH_M:
+        return
+    middles = [0.5 * (edges[1:] + edges[:-1]) for edges in (columns, rows)]
+    for lines in (axes.contourf(*middles, depth_m, levels=[_UNSEEN_DEPTH_M, np.inf], colors="none", hatches=["///"], zorder=2),):
+        lines.set_edgecolor((*UNSEEN, 0.6))
+        lines.set_linewidth(0.0)
+
+
 def _draw_target(axes: Axes, view: View, target: Array) -> None:
     """Mark the target; a line shows the direction from which the palm comes."""
     from lime_planner.core.geometry import pose_to_matrix
@@ -263,13 +286,16 @@ def _colour_bar(figure: Any, place: tuple[float, float, float, float], contact: 
     bar.ax.tick_params(labelsize=8)
 
 
-def _legend(figure: Any, scene: Scene, moved: bool, path: bool, target: bool) -> None:
+def _legend(figure: Any, scene: Scene, moved: bool, path: bool, target: bool, unseen: bool) -> None:
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
     entries: list[Any] = [Patch(color=LEAF, label="leaves"), Patch(color=STEM, label="stems (hard)")]
     if len(scene.fruit_points):
         entries.append(Patch(facecolor=LIME, edgecolor="0.4", linewidth=0.5, label="limes"))
+    if unseen:
+        words = f"unseen, {100.0 * _UNSEEN_DEPTH_M:.0f} cm deep or more"
+        entries.append(Patch(facecolor="white", edgecolor=UNSEEN, hatch="///", linewidth=0.0, label=words))
     entries.append(Patch(facecolor=ARM, alpha=_START_OPACITY if moved else 1.0, edgecolor="0.3", linewidth=0.5, label="arm at the start"))
     if moved:
         entries.append(Patch(facecolor=ARM, edgecolor="0.2", linewidth=0.5, label="arm at the goal"))

@@ -29,6 +29,7 @@ _LAYERS = (
     ("leaves", "Leaves", True, "The soft points: touching them costs, and is allowed"),
     ("stems", "Stems", True, "The hard points: stems, branches, stakes. The arm never touches them"),
     ("limes", "Limes", True, "The fruit"),
+    ("unseen", "Unseen space", False, "What no camera has looked into, where it is known where the clouds were seen from; it has a price"),
     ("arm", "Arm, as measured", True, "Where the arm is, by its joint angles"),
     ("ghost", "Ghost arm, as planned", True, "Where the plan has the arm at the slider's moment"),
     ("path", "Path of the tool", True, "Blue: the arm is free. Orange: some part of it touches leaves"),

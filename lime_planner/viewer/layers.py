@@ -15,8 +15,10 @@ from lime_planner.core.types import Array, Bool, Float32, Int32, Int64
 from lime_planner.output.picture import ARM, FREE_PATH, LEAFY_PATH, LIME, STEM
 from lime_planner.output.timeline import Timeline
 from lime_planner.pipeline.goals import ARM_BLOCKED, FREE, HAND_BLOCKED, NO_ROOM, OUT_OF_REACH
+from lime_planner.pipeline.obstacles import UNSEEN_VOXEL_M
 from lime_planner.robot.model import Robot
 from lime_planner.scene.scene import Scene
+from lime_planner.scene.views.seen_map import make_seen_map
 
 Colour = tuple[int, int, int]
 
@@ -25,6 +27,7 @@ LEAF = (0.10, 0.52, 0.27)
 
 #: Points of a class beyond this number are thinned: a browser without a graphics card draws some 20 frames a second with it.
 POINTS_SHOWN = 40_000
+UNSEEN = (0.45, 0.40, 0.62)
 _TRIANGLES_OF_A_LINK = 3000
 _TONES = (0.82, 0.94, 1.06, 1.18)  # of leaves, so that one stands out from the next
 _PATH_THICKNESS_M = 0.006
@@ -81,7 +84,7 @@ class Plant:
         self._on_lime = on_lime
         self.notes: list[str] = []
         self._api = api
-        self._parts: dict[str, list[Any]] = {"leaves": [], "stems": [], "limes": []}
+        self._parts: dict[str, list[Any]] = {"leaves": [], "stems": [], "limes": [], "unseen": []}
 
         def near(points: npt.NDArray[Any]) -> Bool:
             return np.asarray(np.linalg.norm(points - centre, axis=-1) < reach_m)
@@ -95,9 +98,11 @@ class Plant:
             self._limes(scene)
         else:
             self._cloud("limes", scene.fruit_points[near(scene.fruit_points)], LIME, 0.006)
+        unseen = make_seen_map(scene, UNSEEN_VOXEL_M, reach_m=reach_m).unseen
+        self._cloud("unseen", unseen[near(unseen)], UNSEEN, 0.004)
 
     def show(self, part: str, visible: bool) -> None:
-        """Show or hide `leaves`, `stems` or `limes`."""
+        """Show or hide `leaves`, `stems`, `limes` or `unseen`."""
         for handle in self._parts[part]:
             set_visible(handle, visible)
 

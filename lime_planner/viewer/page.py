@@ -221,7 +221,7 @@ class Page:
                 self._marked_s = t_s
                 self._plots.mark(t_s)
         self._extras.draw(moment, self._shown, self._ghost)
-        for part in ("leaves", "stems", "limes"):
+        for part in ("leaves", "stems", "limes", "unseen"):
             if self._plant is not None:
                 self._plant.show(part, controls.shows(part))
         if self._arm is not None:

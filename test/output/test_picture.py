@@ -11,6 +11,7 @@ from lime_planner.core.errors import ParameterError
 from lime_planner.output import picture
 from lime_planner.output.render import View, cloud_layer, compose, halved, mesh_layer
 from lime_planner.robot.model import Robot, home, load_robot
+from lime_planner.scene.camera import seen_scene
 from lime_planner.scene.plants.generator import PlantOptions, generate_plant
 from lime_planner.scene.scene import Scene
 
@@ -114,6 +115,15 @@ def test_plant_and_path_are_seen_in_their_colours(tmp_path: Path, robot: Robot, 
     assert ((red > green + 20) & (green > blue + 10) & (red < 180)).sum() > 500, "stems"
     assert (np.abs(pixels - np.round(255 * np.array(picture.FREE_PATH))).max(axis=1) <= 2).sum() > 200, "the path without leaf contact"
     assert ((np.abs(red - green) < 15) & (np.abs(blue - green) < 25) & (red > 60) & (red < 230)).sum() > 2000, "the arm"
+
+
+def test_what_no_camera_has_seen_is_hatched(tmp_path: Path, robot: Robot, plant: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(picture, "_PANEL_PIXELS", 200)
+    for name, scene, hatched in (("whole", plant, False), ("seen", seen_scene(plant, [(-0.4, 0.2, 0.8)]), True)):
+        picture.draw_picture(tmp_path / f"{name}.svg", scene, robot, q_start=home(robot))
+        text = (tmp_path / f"{name}.svg").read_text()
+        assert ("unseen, 10 cm deep or more" in text) == hatched
+        assert (text.count("<pattern") > 1) == hatched, "in the legend and in the picture"
 
 
 def test_suffix_and_folder_are_checked(tmp_path: Path, robot: Robot, plant: Scene) -> None:

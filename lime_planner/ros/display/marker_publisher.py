@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 from typing import Protocol
 
@@ -94,7 +95,8 @@ class MarkerPublisher(BackgroundThread):
     def _draw(self, planned: PlannedRequest, loaded: Loaded | None) -> None:
         record = planned.record
         if loaded is None or not loaded.robot.links or not record.found:
-            self._publisher.publish(markers(record, self._now()))
+            unseen = np.empty((0, 3)) if loaded is None else loaded.pipeline.seen_map(record.scene).unseen
+            self._publisher.publish(markers(record, self._now(), Extras(unseen=unseen)))
             return
         extras = _extras(planned, loaded)
         self._publisher.publish(markers(record, self._now(), extras))
@@ -102,7 +104,7 @@ class MarkerPublisher(BackgroundThread):
             return  # a retreat was not searched for
         tree = self._tree(planned, loaded)
         if len(tree) and not self._stale(planned):
-            self._publisher.publish(markers(record, self._now(), Extras(extras.goal_arm, extras.touched, tree)))
+            self._publisher.publish(markers(record, self._now(), dataclasses.replace(extras, tree=tree)))
 
     def _stale(self, planned: PlannedRequest) -> bool:
         return self._closed or self._worker.current is not None or self._newest is None or self._newest[0] is not planned
@@ -115,7 +117,7 @@ class MarkerPublisher(BackgroundThread):
 
 
 def _extras(planned: PlannedRequest, loaded: Loaded) -> Extras:
-    """Draw the arm at the path's end, and find the leaf points that it touches on its way."""
+    """Draw the arm at the path's end, and find the leaf points that it touches on its way and the space that no camera has seen."""
     from lime_planner.collision.touched_points import touched_points
     from lime_planner.pipeline.figures import sample_path
     from lime_planner.robot.convex_hulls import arm_hull
@@ -124,4 +126,5 @@ def _extras(planned: PlannedRequest, loaded: Loaded) -> Extras:
     rows, _ = sample_path(waypoints, 0.03)
     rows = rows[np.unique(np.linspace(0, len(rows) - 1, min(len(rows), _SAMPLES)).round().astype(int))]
     marks = touched_points(loaded.robot, loaded.pipeline.shapes, rows, points, planned.record.settings.leaf_point_radius_m)
-    return Extras(arm_hull(loaded.robot, waypoints[-1]), points[marks.any(axis=0)])
+    unseen = loaded.pipeline.seen_map(planned.record.scene).unseen
+    return Extras(arm_hull(loaded.robot, waypoints[-1]), points[marks.any(axis=0)], unseen=unseen)

@@ -38,6 +38,7 @@ _OUTCOMES = {
 _APPROACHES = 600  # lines at most
 _GAP_M, _LINE_M = 0.05, 0.05  # how far from the target they end, and how long they are
 _GOAL_ARM = (0.55, 0.60, 0.70, 0.45)
+_UNSEEN = (0.35, 0.30, 0.55, 0.35)
 _TREE = (0.5, 0.5, 0.5, 0.4)
 
 
@@ -49,11 +50,13 @@ class Extras:
         goal_arm: (T, 3, 3) triangles of the arm at the path's end [m].
         touched: (P, 3) leaf points that the arm touches on its way [m].
         tree: (S, 2, 3) tool positions at both ends of each piece of the search tree's edges [m].
+        unseen: (U, 3) middles of the voxels that no camera has seen [m].
     """
 
     goal_arm: npt.NDArray[np.floating] = field(default_factory=lambda: np.empty((0, 3, 3)))
     touched: npt.NDArray[np.floating] = field(default_factory=lambda: np.empty((0, 3)))
     tree: npt.NDArray[np.floating] = field(default_factory=lambda: np.empty((0, 2, 3)))
+    unseen: npt.NDArray[np.floating] = field(default_factory=lambda: np.empty((0, 3)))
 
 
 def _colour(rgba: tuple[float, float, float, float]) -> ColorRGBA:
@@ -161,6 +164,7 @@ def markers(record: PlanRecord, stamp: Time, extras: Extras | None = None) -> Ma
     picture.cloud("leaves", scene.leaf_points, _LEAF)
     picture.cloud("stems", scene.stem_points, _STEM)
     picture.cloud("fruit", scene.fruit_points, _FRUIT)
+    picture.cloud("unseen", extras.unseen, _UNSEEN, 0.006)
     picture.boxes(settings.keep_out_boxes)
     if record.target is not None:
         exact = result.target is None or result.target.exact

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import os
 import threading
@@ -152,8 +153,10 @@ def test_rviz_knows_every_kind_of_marker() -> None:
     extras = Extras(np.zeros((2, 3, 3)), np.zeros((4, 3)), np.zeros((3, 2, 3)))
     scene = Scene(np.ones((3, 3)), np.ones(3), np.ones((5, 3)), np.ones((2, 3)))
     settings = settings_from({"keep_out_boxes": [0.0, 0.0, 0.0, 1.0, 2.0, 3.0]})
+    extras = dataclasses.replace(extras, unseen=np.full((20_001, 3), 0.5))
     array = markers(PlanRecord(1, scene, settings, np.eye(7)[6], result(np.zeros(3), np.ones(3))), Time(), extras)  # type: ignore[arg-type]
     by_name = {marker.ns: marker for marker in array.markers if marker.ns}
+    assert 5000 < len(by_name["unseen"].points) <= 10_000, "thinned to what a display can show"
     [shown] = [display for display in rviz_displays() if display["Name"] == "Plan"]
     assert set(shown["Namespaces"]) == set(by_name)
     assert len(by_name["goal_arm"].points) == 6 and len(by_name["touched_leaves"].points) == 4 and len(by_name["tree"].points) == 6
