@@ -6,6 +6,7 @@ The first plan after an installation would wait a minute for the compiler; what 
 
 from __future__ import annotations
 
+import gc
 import subprocess
 import sys
 import threading
@@ -15,7 +16,8 @@ from typing import IO, Any
 
 from lime_planner.core.kernel_cache import all_compiled, note_all_compiled
 
-#: What is compiled side by side: the arm and everything around it, and the planners, which know no arm.
+#: What is compiled side by side: the collision model and what asks it, which comes last there because the arm's shapes are made first,
+#: and everything else, beginning with what the other would come to by then. What one has compiled, the other reads from the cache.
 PARTS = ("arm", "planners")
 
 _REPORT_EVERY_S = 0.25
@@ -82,19 +84,25 @@ def compile_part(part: str, robot: str) -> None:
             print(event.data["dispatcher"].py_func.__qualname__, flush=True)
 
     event.register("numba:compile", Listener())
+    gc.disable()  # a twentieth of the time; the process ends before it would need it
+    from lime_planner.robot.model import load_robot
+
     if part == "planners":
         from lime_planner.core.planners import PLANNERS
+        from lime_planner.motion import stop
+        from lime_planner.pipeline.grasps.practice import practise_grasps
         from lime_planner.planning.planner import load_planner
         from lime_planner.planning.practice import practise
+        from lime_planner.scene import voxels
 
+        practise_grasps(load_robot(robot))
+        voxels.warm_up()
+        stop.warm_up()
         for planner in map(load_planner, PLANNERS):
             practise(planner)
         return
-    from lime_planner.motion import stop
     from lime_planner.pipeline.pipeline import Pipeline
-    from lime_planner.robot.model import load_robot
 
-    stop.warm_up()
     Pipeline(load_robot(robot)).warm_up(())
 
 

@@ -67,7 +67,6 @@ class Pipeline:
         Args:
             planners: those that will be asked; all of them by default.
         """
-        voxels.warm_up()
         q = home(self.robot)
         T = self.robot.forward(q + 0.2)
         apart = T[:3, 3] + np.array([0.0, 0.0, 0.4])
@@ -82,6 +81,7 @@ class Pipeline:
         one(space, q)
         line(space, q, goals.configurations[0], 1.0, np.inf)
         self.follow(np.array([q, q + 0.05]), scene, T, settings)
+        voxels.warm_up()
         checker.stem_distance(q)
         checker.leaf_contact(q)
         for name in planners:
