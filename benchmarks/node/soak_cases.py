@@ -27,6 +27,7 @@ CALM: dict[str, Any] = {
     "drop_probability": 0.0,
     "state_delay_s": 0.0,
     "stall_at_fraction": 0.0,
+    "report_wrapped": False,
 }
 FAULTS: tuple[dict[str, Any], ...] = (
     {"noise_rad": 0.0005},
@@ -35,6 +36,7 @@ FAULTS: tuple[dict[str, Any], ...] = (
     {"gain_error": -0.3},
     {"speed_scaling": 0.9},
     {"speed_scaling": 0.5},
+    {"report_wrapped": True},
     {"drop_probability": 0.5},
     {"drop_probability": 1.0},
     {"state_delay_s": 0.1},

@@ -16,6 +16,7 @@ from trajectory_msgs.msg import JointTrajectory
 
 from lime_planner.collision.arm_filter import ArmSurface
 from lime_planner.collision.exact import ExactChecker
+from lime_planner.core.geometry import whole_turns
 from lime_planner.motion.contract import violations
 from lime_planner.motion.trajectory import Trajectory
 from lime_planner.robot.model import Robot
@@ -77,7 +78,7 @@ class Judge:
 
     def __post_init__(self) -> None:
         self._surface = ArmSurface(self.robot)
-        self._states: deque[tuple[float, np.ndarray]] = deque()
+        self._states: deque[tuple[float, np.ndarray, np.ndarray]] = deque()  # when, (n,) without jumps of whole turns, (n,) as reported
         self.world: World | None = None
         self._running: tuple[float, Trajectory, np.ndarray | None] | None = None
         self._checker: tuple[World, tuple[float, ...], ExactChecker] | None = None
@@ -87,7 +88,9 @@ class Judge:
     def state(self, q: np.ndarray) -> None:
         """Take note of a joint state."""
         now_s = time.monotonic()
-        self._states.append((now_s, q))
+        before = self._states[-1][1] if self._states else q
+        # A driver may report joints that turn without end within one turn: the arm has not jumped then.
+        self._states.append((now_s, q - whole_turns(q - before, self.robot.continuous), q))
         while self._states[0][0] < now_s - _REMEMBERED_S:
             self._states.popleft()
 
@@ -104,7 +107,14 @@ class Judge:
 
     def newest(self, before_s: float = np.inf) -> np.ndarray | None:
         """The newest joint state before a moment."""
-        return next((q for at_s, q in reversed(list(self._states)) if at_s <= before_s), None)
+        return next((q for at_s, q, _ in reversed(list(self._states)) if at_s <= before_s), None)
+
+    def _nearest(self, before_s: float, start: np.ndarray) -> np.ndarray | None:
+        """The newest joint state before a moment, without jumps or as it was reported, whichever is nearer to a command's start."""
+        for at_s, q, reported in reversed(list(self._states)):
+            if at_s <= before_s:
+                return min((q, reported), key=lambda place: float(np.abs(place - start).max()))
+        return None
 
     def publish(self, scene: Scene, left_out: np.ndarray | None) -> None:
         """Take note of a scene that is published now."""
@@ -142,7 +152,7 @@ class Judge:
     def _stop(self, at_s: float, trajectory: Trajectory) -> list[str]:
         running, self._running = self._running, None
         found = []
-        q = self.newest(at_s)
+        q = self._nearest(at_s, trajectory.positions[-1])
         if not (np.isfinite(trajectory.positions).all() and np.isfinite(trajectory.velocities).all()):
             found.append("a number is not finite")
         if trajectory.velocities[-1].any():
@@ -158,7 +168,7 @@ class Judge:
         return found
 
     def _motion(self, at_s: float, trajectory: Trajectory, statuses: list[dict[str, str]]) -> list[str]:
-        robot, q = self.robot, self.newest(at_s)
+        robot, q = self.robot, self._nearest(at_s, trajectory.positions[0])
         if q is None:
             return ["sent without a joint state"]
         turn = 2.0 * np.pi + 1e-6
@@ -210,7 +220,7 @@ class Judge:
 
     def _around(self, at_s: float) -> list[np.ndarray]:
         """Where the arm was around a moment; while it moves, it is not known here more exactly where it was at a cloud's stamp."""
-        near = [q for state_s, q in list(self._states) if abs(state_s - at_s) < STAMP_S]
+        near = [q for state_s, q, _ in list(self._states) if abs(state_s - at_s) < STAMP_S]
         return near[:: max(len(near) // 12, 1)] or [q for q in (self.newest(at_s), self.newest()) if q is not None][:1]
 
     def blocked(self, after_s: float) -> str:
