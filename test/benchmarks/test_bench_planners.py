@@ -35,7 +35,7 @@ def test_planners_are_compared_and_the_comparison_continues(tmp_path, capsys):
     command = ["bench", "planners", "--plants", PLANT, "--targets", "1", "--marks", "0.05", "0.2", "--reference", "0.4"]
     command += ["--reference-seeds", "1", "--clock", "cpu", "--jobs", "1", "--out", str(out)]
     assert main([*command, "--seeds", "1"]) == 0
-    assert "5 runs on 1 problems" in capsys.readouterr().err or missing_library("ompl_bit_star")
+    assert "6 runs on 1 problems" in capsys.readouterr().err or missing_library("ompl_bit_star")
     first = json.loads((out / "results.json").read_text())
     assert first["experiment"] == "bench planners" and first["complete"]
     assert {"machine", "options", "problems", "refused", "methods", "trials"} <= first.keys()
@@ -50,7 +50,7 @@ def test_planners_are_compared_and_the_comparison_continues(tmp_path, capsys):
     assert main([*command, "--seeds", "2", "--resume", "--no-figures"]) == 0
     second = json.loads((out / "results.json").read_text())
     assert [t for t in second["trials"] if t in first["trials"]] == first["trials"]
-    assert len(second["trials"]) == len(first["trials"]) + 3
+    assert len(second["trials"]) == len(first["trials"]) + 4
 
 
 def test_wrong_questions_are_refused(tmp_path, capsys):
