@@ -109,7 +109,7 @@ class Judge:
         """The newest joint state before a moment."""
         return next((q for at_s, q, _ in reversed(list(self._states)) if at_s <= before_s), None)
 
-    def _nearest(self, before_s: float, start: np.ndarray) -> np.ndarray | None:
+    def nearest(self, before_s: float, start: np.ndarray) -> np.ndarray | None:
         """The newest joint state before a moment, without jumps or as it was reported, whichever is nearer to a command's start."""
         for at_s, q, reported in reversed(list(self._states)):
             if at_s <= before_s:
@@ -152,7 +152,7 @@ class Judge:
     def _stop(self, at_s: float, trajectory: Trajectory) -> list[str]:
         running, self._running = self._running, None
         found = []
-        q = self._nearest(at_s, trajectory.positions[-1])
+        q = self.nearest(at_s, trajectory.positions[-1])
         if not (np.isfinite(trajectory.positions).all() and np.isfinite(trajectory.velocities).all()):
             found.append("a number is not finite")
         if trajectory.velocities[-1].any():
@@ -168,7 +168,7 @@ class Judge:
         return found
 
     def _motion(self, at_s: float, trajectory: Trajectory, statuses: list[dict[str, str]]) -> list[str]:
-        robot, q = self.robot, self._nearest(at_s, trajectory.positions[0])
+        robot, q = self.robot, self.nearest(at_s, trajectory.positions[0])
         if q is None:
             return ["sent without a joint state"]
         turn = 2.0 * np.pi + 1e-6

@@ -9,6 +9,7 @@ from collections import Counter
 from typing import Any
 
 import numpy as np
+from geometry_msgs.msg import Point, PointStamped, PoseArray
 from nav_msgs.srv import GetPlan
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
@@ -21,6 +22,7 @@ from benchmarks.node.soak_checks import EXCLUSION_M, Judge
 from lime_planner.core.geometry import matrix_to_pose
 from lime_planner.core.status import Status
 from lime_planner.robot.model import Robot
+from lime_planner.ros import qos
 from lime_planner.ros.convert import to_pose
 from lime_planner.ros.inputs.clouds import encode_cloud
 from lime_planner.ros.nodes.scene_node import make_scene
@@ -65,6 +67,8 @@ class Steps:
         self.waits: dict[str, list[float]] = {"answer": [], "preempted": [], "stop": []}
         self.requests = self.judged = self.blocked = self.arrived = 0
         self.actions: Counter[str] = Counter()
+        self.fruit_target = bench.node.create_publisher(PointStamped, "fruit_target", qos.NEWEST)
+        self.candidates = bench.node.create_publisher(PoseArray, "grasp_candidates", qos.NEWEST)
         bench.wait(lambda: self.judge.newest() is not None, 10.0, "joint states")
 
     # ---- what a step is made of ----
@@ -107,6 +111,7 @@ class Steps:
         values = {"seed": int(self.rng.integers(1, 40)), "density": str(self.rng.choice(["sparse", "medium"]))}
         published = make_scene({**SCENE, **values})
         self.targets = [pose for pose in [published.target, *lime_targets(published.scene, self.rng)] if pose is not None]
+        self.fruits = published.scene.fruit_centres
         left_out = None if self.labelled or published.target is None else published.target[:3]
         reasons = self.bench.set_on("scene", values)
         self.judge.publish(published.scene, left_out)
@@ -130,7 +135,15 @@ class Steps:
         time.sleep(0.3)
 
     def new_target(self) -> None:
-        """Send a target in the plant, or close to where the tool is."""
+        """Send a target in the plant, or close to where the tool is: a pose, a fruit or several poses; the newest counts."""
+        if self.rng.random() < 0.25 and self.fruits is not None:
+            x, y, z = (float(number) for number in self.fruits[int(self.rng.integers(len(self.fruits)))])
+            self.send(self.fruit_target, PointStamped(point=Point(x=x, y=y, z=z)))
+            return
+        if self.rng.random() < 0.2:
+            chosen = self.rng.integers(len(self.targets), size=int(self.rng.integers(1, 6)))
+            self.send(self.candidates, PoseArray(poses=[to_pose(self.targets[int(i)]) for i in chosen]))
+            return
         if self.rng.random() < 0.6:
             pose = self.targets[int(self.rng.integers(len(self.targets)))]
         else:
@@ -138,6 +151,13 @@ class Steps:
             q = np.where(self.robot.continuous, q, np.clip(q, self.robot.lower + 0.1, self.robot.upper - 0.1))
             pose = matrix_to_pose(self.robot.forward(q))
         self.bench.send_target(pose)
+        time.sleep(0.05)
+
+    def send(self, publisher: Any, msg: Any) -> None:
+        """Publish a target of another kind than a pose."""
+        self.bench.wait(publisher.get_subscription_count, 20.0, "a subscriber of the target")
+        msg.header.frame_id, msg.header.stamp = "base", self.bench.node.get_clock().now().to_msg()
+        publisher.publish(msg)
         time.sleep(0.05)
 
     # ---- the steps ----
@@ -324,7 +344,9 @@ class Steps:
 
     def check_arrival(self) -> None:
         """A motion that ended well has the arm at its last point, every turn counted."""
-        off = np.abs(self.bench.q - np.array(self.bench.commands[-1][1].points[-1].positions)).max()
+        last = np.array(self.bench.commands[-1][1].points[-1].positions)
+        rests = self.judge.nearest(np.inf, last)
+        off = np.inf if rests is None else np.abs(rests - last).max()
         if self.bench.statuses[-1].get("execution_code") == "SUCCEEDED":
             self.arrived += 1
             if off > ARRIVED_RAD:
