@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 
 _EPILOG = """\
-What plans first would do it too. It takes about half a minute on two cores,
+What plans first would do it too. It takes about a minute on two free cores,
 once after an installation or an update.
 
 example:

@@ -29,11 +29,13 @@ def _fields(numba_type: Any, at: int) -> Iterator[tuple[int, str]]:
     if isinstance(numba_type, nt.Array):
         yield at, f"{5 + 2 * numba_type.ndim}q"
     elif isinstance(numba_type, nt.BaseTuple):
-        layout = context.get_value_type(numba_type)
-        uniform = isinstance(numba_type, nt.UniTuple | nt.NamedUniTuple)
-        for i, part in enumerate(numba_type.types):
-            size = context.get_abi_sizeof(context.get_value_type(part))
-            yield from _fields(part, at + (i * size if uniform else layout.get_element_offset(context.target_data, i)))
+        end = at
+        for part in numba_type.types:
+            layout = context.get_value_type(part)
+            alignment = layout.get_abi_alignment(context.target_data)
+            begin = -(-end // alignment) * alignment
+            yield from _fields(part, begin)
+            end = begin + context.get_abi_sizeof(layout)
     else:
         formats = {nt.int64: "q", nt.float64: "d", nt.boolean: "?"}
         if numba_type not in formats:
