@@ -183,6 +183,12 @@ def inside(space: Any, q: Any) -> bool:
     return True
 
 
+def raise_pending(space: Any) -> None:
+    """Raise what a caller's own function raised while compiled code called it, in a space that is made of such functions."""
+    if (pending := getattr(space, "raise_pending", None)) is not None:
+        pending()
+
+
 @kernel
 def _one(space: Any, q: Any) -> Any:
     return evaluate(space, q)

@@ -12,7 +12,10 @@ import numpy as np
 import pytest
 
 from lime_planner.core.errors import ProblemError
+from lime_planner.core.parameters import settings_from
+from lime_planner.core.planners import PLANNERS
 from lime_planner.core.status import Status
+from lime_planner.planning.planner import Query, load_planner
 from lime_planner.planning.rrt_star.planner import PaperOptions, plan_paper
 from lime_planner.planning.spaces.function_space import FIELD, ONE_CONFIGURATION, TWO_CONFIGURATIONS, FunctionSpace, function_space
 from lime_planner.planning.spaces.plane import PlaneWorld, wall_g
@@ -149,6 +152,21 @@ def test_exceptions_in_functions_reach_the_caller() -> None:
     # The exception is delivered once; the space works afterwards.
     left = function_space((0, 0), (0.4, 1), valid=broken)
     assert plan_paper(left, (0.1, 0.1), (0.2, 0.2), PaperOptions(delta=0.1), 0, iterations=200).path is not None
+
+
+@pytest.mark.parametrize("name", PLANNERS)
+@pytest.mark.parametrize("at_once", [False, True])
+def test_every_planner_hands_an_exception_on(name: str, at_once: bool) -> None:
+    def broken(q: Any) -> bool:
+        if at_once or 0.3 < q[0] < 0.4:
+            raise KeyError("no such leaf")
+        return True
+
+    planner = load_planner(name)
+    space = function_space((0, 0), (1, 1), valid=broken)
+    query = Query(space, np.array([0.1, 0.1]), np.array([[0.8, 0.8]]), 1, iterations=500)
+    with pytest.raises(KeyError, match="no such leaf"):
+        planner.run(query, planner.options(settings_from({"planner": name})))
 
 
 def test_python_functions_work_from_another_thread() -> None:

@@ -35,7 +35,7 @@ from lime_planner.planning.lime_star.side_by_side import Exchange, merged_histor
 from lime_planner.planning.lime_star.tracks import MAX_WAYPOINTS
 from lime_planner.planning.planner import checked_ends, checked_limits
 from lime_planner.planning.sampling import below, draw_between, draw_in_box, normal, uniform
-from lime_planner.planning.space import clamp, distance, evaluate, inside, line, one
+from lime_planner.planning.space import clamp, distance, evaluate, inside, line, one, raise_pending
 
 __all__ = ["LimeOptions", "LimeOutcome", "plan_lime", "warm_up"]
 
@@ -150,10 +150,10 @@ def plan_lime(
     checked_limits(iterations, deadline_s, should_stop)
     before = np.array(space.counters)
     handle = space.handle()
-    start_leaf = one(handle, q_start)
+    start_leaf, leaf = one(handle, q_start), np.array([one(handle, g) for g in q_goals])
+    raise_pending(space)
     if start_leaf < 0.0:
         return LimeOutcome(None, math.inf, Status.START_INVALID, 0, 0, 0, math.nan, np.zeros((0, 3)))
-    leaf = np.array([one(handle, g) for g in q_goals])
     if not (leaf >= 0.0).any():
         return LimeOutcome(None, math.inf, Status.GOAL_IN_STEM, 0, 0, 0, math.nan, np.zeros((0, 3)))
     exchange = Exchange(threads if another_space is not None else 1)
@@ -174,6 +174,7 @@ def plan_lime(
         return Status.TIMED_OUT if deadline_s is not None and run.elapsed() >= deadline_s else None
 
     def first_over(run: Run) -> bool:
+        raise_pending(space)
         status = Status.CANCELLED if cancelled() else limit(run)
         if status is not None:
             ended.append(status)

@@ -26,7 +26,7 @@ from lime_planner.planning.rrt_star import goal_nodes
 from lime_planner.planning.rrt_star.growth import Growth
 from lime_planner.planning.rrt_star.options import PaperOptions
 from lime_planner.planning.rrt_star.tree import search_tree, trace
-from lime_planner.planning.space import line, one
+from lime_planner.planning.space import line, one, raise_pending
 
 _STEP = 3.0  # in steps of the paper's: certified edges are as safe when they are long, and get further
 _REACH = 3.0  # in steps of ours: largest radius of neighbours, and from how far goals are joined
@@ -84,14 +84,16 @@ def plan_anytime(query: Query, options: PaperOptions, weight: float) -> Outcome:
     checked_limits(query.iterations, query.deadline_s, query.should_stop)
     limit = query.limit()
     handle, before = query.space.handle(), np.array(query.space.counters)
-    if one(handle, ends.start) < 0.0:
+    start_leaf, valid = one(handle, ends.start), np.array([one(handle, goal) >= 0.0 for goal in ends.goals])
+    raise_pending(query.space)
+    if start_leaf < 0.0:
         return Outcome(None, Status.START_INVALID, 0, 0)
-    valid = np.array([one(handle, goal) >= 0.0 for goal in ends.goals])
     if not valid.any():
         return Outcome(None, Status.GOAL_IN_STEM, 0, 0)
     ended: list[Status] = []
 
     def over(run: Run) -> bool:
+        raise_pending(query.space)
         status = limit(run.iterations)
         if status is not None:
             ended.append(status)

@@ -11,7 +11,7 @@ from lime_planner.planning.rrt_star import kernels
 from lime_planner.planning.rrt_star.options import PaperOptions
 from lime_planner.planning.rrt_star.potential_field import Field, farthest_corner
 from lime_planner.planning.rrt_star.tree import add_node, enlarged, new_tree
-from lime_planner.planning.space import one
+from lime_planner.planning.space import one, raise_pending
 
 
 class Growth:
@@ -55,5 +55,4 @@ class Growth:
         """Run one iteration for each of the samples (m, n)."""
         self.make_room(len(samples))
         kernels.grow(self.space, self.field, self.rules, self.goals, self.tree, samples, self._scratch)
-        if (pending := getattr(self._given, "raise_pending", None)) is not None:
-            pending()  # an exception inside a caller's own function
+        raise_pending(self._given)
