@@ -84,6 +84,8 @@ def test_tables_count_motions_that_touch() -> None:
     results = {"options": options, "trials": trials}
     found = report.touching(trials, "looks-free")
     assert found.value == pytest.approx(2 / 9) and found.low <= found.value <= found.high
+    none = report.touching(trials, "full-free")
+    assert (none.value, none.low) == (0.0, 0.0) and none.high == pytest.approx(1.0 - 0.025 ** (1 / 8)), "eight motions without one"
     assert report.reached(trials, "looks-free", "full-free").value == pytest.approx(7 / 8)
     assert report.leaves_ratio(trials, "looks-free", "full-free").value == pytest.approx(2.0)
     row = report.table(results, "free").splitlines()[-1]

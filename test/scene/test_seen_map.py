@@ -8,9 +8,11 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 import pytest
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
 
 from lime_planner.core.types import Array
-from lime_planner.scene.camera import look_at, seen_scene, visible_points
+from lime_planner.scene.camera import View, look_at, seen_in_views, seen_scene, visible_points
 from lime_planner.scene.clean import clean_scene, remove_arm
 from lime_planner.scene.plants.generator import PlantOptions, generate_plant
 from lime_planner.scene.scene import Scene, merged
@@ -142,6 +144,24 @@ def test_hidden_stems_lie_in_unseen_space_and_seen_ones_do_not() -> None:
     codes = seen.classify(plant.stem_points)
     assert (codes[pictured & ~visible] != FREE).mean() > 0.85
     assert (codes[visible & pictured] == UNSEEN).mean() < 0.02
+
+
+def test_a_camera_calibrated_5_mm_and_1_degree_wrong() -> None:
+    """Its stems stand in the wrong place, which no map can know; what counts as unseen hardly changes."""
+    plant = generate_plant(np.random.default_rng(1), PlantOptions(density="dense"))
+    aim = plant.stem_points.mean(axis=0)
+    views = [look_at(place, aim) for place in ((-0.4, 0.2, 0.8), (0.3, -1.0, 0.7), (0.3, 1.0, 0.7))]
+    parts = [seen_in_views(plant, [View(view)]) for view in views]
+    error = np.eye(4)
+    error[:3, :3] = Rotation.from_rotvec([np.radians(1.0), 0.0, 0.0]).as_matrix()
+    error[0, 3] = 0.005
+    wrong = parts[1].transformed(views[1] @ error @ np.linalg.inv(views[1]))
+    right, shifted = (make_seen_map(merged([parts[0], second, parts[2]], "base"), 0.01) for second in (parts[1], wrong))
+    known = np.any([cKDTree(part.stem_points).query(plant.stem_points)[0] < 1e-4 for part in parts], axis=0)
+    hidden = plant.stem_points[~known]
+    shares = [float((seen.classify(hidden) == UNSEEN).mean()) for seen in (right, shifted)]
+    assert len(hidden) > 500 and shares[0] > 0.4 and abs(shares[1] - shares[0]) < 0.1
+    assert shifted.unseen_volume_m3 == pytest.approx(right.unseen_volume_m3, rel=0.1)
 
 
 def test_depth_maps_take_odd_clouds() -> None:

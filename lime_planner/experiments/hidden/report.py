@@ -45,16 +45,27 @@ def _by_plant(trials: Trials, row: Callable[[dict[str, Any]], float | None]) -> 
     return [np.array(values) for values in groups.values()]
 
 
+def _share(rows: list[Array]) -> Estimate:
+    """Share of ones: the interval draws whole plants; where all agree, drawing tells nothing, and the exact binomial interval serves."""
+    estimate = by_cluster(rows, lambda x: float(x.mean()))
+    if rows and estimate.value in (0.0, 1.0):
+        from scipy.stats import binomtest
+
+        count = sum(len(row) for row in rows)
+        interval = binomtest(round(estimate.value * count), count).proportion_ci(0.95, "exact")
+        return Estimate(estimate.value, float(interval.low), float(interval.high))
+    return estimate
+
+
 def touching(trials: Trials, method: str) -> Estimate:
     """Share of the motions sent, looks with them, that touch a real stem; whole plants are drawn for the interval."""
     rows = _by_plant(trials, lambda t: float(t["methods"][method]["stems"] > 0) if succeeded(t, method) else None)
-    return by_cluster(rows, lambda x: float(x.mean()))
+    return _share(rows)
 
 
 def reached(trials: Trials, method: str, full: str) -> Estimate:
     """Share of the limes that full knowledge reaches which a method reaches too."""
-    rows = _by_plant(trials, lambda t: float(succeeded(t, method)) if succeeded(t, full) else None)
-    return by_cluster(rows, lambda x: float(x.mean()))
+    return _share(_by_plant(trials, lambda t: float(succeeded(t, method)) if succeeded(t, full) else None))
 
 
 def leaves_ratio(trials: Trials, method: str, full: str) -> Estimate:
