@@ -94,7 +94,12 @@ def plan(
         start: (n,) joint angles [rad], turns kept; the arm's ready configuration by default.
         should_stop: True cancels; asked every few milliseconds.
         deadline_s: wall time from now for the whole plan; by default the search has `time_budget_s` and the rest what it needs.
-        seed, time_budget_s, iterations, planner, leaf_policy, grasp_freedom: the planning parameters asked for most; None: the default.
+        seed: of the search; by default a random one, which the result names.
+        time_budget_s: of the search [s].
+        iterations: of the search, in place of a time: with a seed they give the same path everywhere.
+        planner: `lime_star`, or one of the paper's.
+        leaf_policy: `permeable`, `solid` or `ignored`.
+        grasp_freedom: what a target pose leaves open: `exact`, `roll` or `cone`.
         **parameters: any other one by its name, such as `c_perm`, `stem_margin_m`, `keep_out_boxes`; `lime-planner parameters` lists
             them.
 

@@ -61,6 +61,21 @@ def test_pages_load_nothing_from_elsewhere(site: Path) -> None:
             assert missing == [], page
 
 
+def test_search_works_in_pages_opened_as_files(site: Path) -> None:
+    pytest.importorskip("playwright.sync_api")
+    from browser import chromium
+
+    with chromium() as browser:
+        page = browser.new_page()
+        page.goto((site / "tutorials" / "first-plan.html").as_uri())
+        page.keyboard.press("s")
+        page.get_by_text("Type to start searching").wait_for(timeout=60_000.0)
+        page.locator("input.md-search__input").press_sequentially("GOAL_IN_STEM")
+        first = page.locator(".md-search-result__item h1").first
+        first.wait_for(timeout=60_000.0)
+        assert first.inner_text() == "Statuses"
+
+
 def test_every_placeholder_is_filled(site: Path) -> None:
     for page in site.rglob("*.html"):
         assert "{{" not in page.read_text(encoding="utf-8"), page
