@@ -11,7 +11,8 @@ from lime_planner.scene.scene import Scene
 _FAR = 10.0  #: times the arm's reach: what is that far away is hardly meant
 _NEAR_SHARE = 0.01  #: of the points that must be within reach, for the rest to be a background
 _UNKNOWN_SHARE = 0.9  #: of labels that are in no class
-_TURNS_RAD = 4.0 * np.pi  #: no joint starts beyond two turns, but for arms that count theirs
+_TURNS_RAD = 4.0 * np.pi  #: no joint with limits starts beyond two turns
+_COUNTED_RAD = 40.0 * np.pi  #: nor one without beyond twenty, though drivers count them
 _UPRIGHT = 0.8  #: cosine of the angle within which a plant's long axis follows a frame's axis
 _SLENDER = 1.5  #: times the spread along the other axes, for a plant to have a long axis
 
@@ -25,7 +26,7 @@ def doubts_about(scene: Scene, robot: Robot, target: Array, q_start: Array) -> t
         target: where the tool is to be, (3,) [m].
         q_start: (n,) [rad].
     """
-    found = [_about_target(robot, target), _about_start(q_start), _about_labels(scene)]
+    found = [_about_target(robot, target), _about_start(robot, q_start), _about_labels(scene)]
     found.append(_about_place(scene, robot) or _about_axes(scene))
     return tuple(filter(None, found))
 
@@ -37,8 +38,8 @@ def _about_target(robot: Robot, place: Array) -> str:
     return f"the target is {distance_m:.4g} m away, the arm reaches {robot.reach_m:.2f} m: {_unit(distance_m / robot.reach_m)}"
 
 
-def _about_start(q_start: Array) -> str:
-    if float(np.abs(q_start).max(initial=0.0)) <= _TURNS_RAD:
+def _about_start(robot: Robot, q_start: Array) -> str:
+    if (np.abs(q_start) <= np.where(robot.continuous, _COUNTED_RAD, _TURNS_RAD)).all():
         return ""
     angles = ", ".join(f"{value:g}" for value in q_start)
     return f"the start is {angles} rad, {float(np.abs(q_start).max()) / (2.0 * np.pi):.0f} turns: is it in degrees?"
