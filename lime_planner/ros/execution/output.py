@@ -146,18 +146,17 @@ class Output:
             if message is not None:
                 self._publisher.publish(message)
             return
-        before, self._goal = self._goal, None
-        if message is not None:
-            self._goal = self._send_goal(message, None)
+        before = self._goal
+        braking = self._goal = None if message is None else self._send_goal(message, None)
         if before is None:
             return
-        if self._goal is None:
+        if braking is None:
             self._give_up(before)
             return
         timer = threading.Timer(_CANCEL_AFTER_S, self._give_up, [before])
         timer.daemon = True
         timer.start()
-        self._goal.answer.add_done_callback(lambda _: self._give_up(before))
+        braking.answer.add_done_callback(lambda _: self._give_up(before))
 
     def flush(self, timeout_s: float) -> None:
         """Wait until what was sent has arrived, or the time is over."""
@@ -195,6 +194,8 @@ class Output:
         handle.get_result_async().add_done_callback(lambda result: self._on_result(goal, result))
 
     def _on_result(self, goal: _Goal, future: Future) -> None:
+        if self._goal is goal:
+            self._goal = None  # over: nothing is left to cancel
         response = future.result()
         code, words = int(response.result.error_code), str(response.result.error_string)
         if response.status == GoalStatus.STATUS_SUCCEEDED and code == 0:
