@@ -137,7 +137,7 @@ def test_too_much_unseen_space_is_refused() -> None:
 
 def test_the_papers_planner_counts_its_nodes_there() -> None:
     aim = fruit_target(nearest_fruits(1)[0])
-    result = plan(partial(), aim, planner="rrt_star", iterations=8000, unseen_price=SHARE)
+    result = plan(partial(), aim, planner="rrt_star", paper=True, iterations=8000, unseen_price=SHARE)
     assert result.succeeded and result.cost_metric == "node", result.message
     nodes = (result.cost - result.path_length_rad - result.collision_cost) / (100.0 * SHARE)
     assert nodes == pytest.approx(round(nodes), abs=1e-6) and 0.0 <= nodes <= in_unseen(result.waypoints).sum() + 1e-6
