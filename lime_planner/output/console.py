@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from lime_planner.core.atomic_files import write_json
-from lime_planner.pipeline.result import ROWS
+from lime_planner.pipeline.result import OF_VIEWS, ROWS
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -72,7 +72,10 @@ def print_plans(title: str, columns: Sequence[tuple[str, Mapping[str, Any]]], ex
     for heading, _ in columns:
         table.add_column(heading, justify="right", overflow="fold")
     table.add_row("status", *(str(figures.get("status", "–")) for _, figures in columns))
+    seen = any(int(figures.get("views") or 0) for _, figures in columns)
     for key, words, unit, factor, decimals in ROWS:
+        if key == OF_VIEWS and not seen:
+            continue
         table.add_row(f"{words} [{unit}]".replace("[", r"\["), *(cell(figures, key, factor, decimals) for _, figures in columns))
     for words, texts in extra:
         table.add_row(words.replace("[", r"\["), *texts)

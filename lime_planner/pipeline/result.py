@@ -31,6 +31,9 @@ ROWS: tuple[tuple[str, str, str, float, int], ...] = (
     ("min_stem_clearance_m", "smallest clearance to stems", "mm", 1000.0, 1),
 )
 
+#: Of these, the one that says nothing where it is not known what was seen (`views` 0).
+OF_VIEWS = "unseen_contact_rad"
+
 #: The figures of a plan that are real numbers, NaN where there is no path.
 NUMBERS = (
     "planning_time_s",
@@ -150,7 +153,8 @@ class PlanResult:
     def _repr_html_(self) -> str:
         """Return the figures that matter as a table, for notebooks."""
         rows = [("planner, seed", f"{self.planner}, {self.seed}")]
-        figures = [(words, unit, float(getattr(self, name)) * factor, decimals) for name, words, unit, factor, decimals in ROWS]
+        shown = [row for row in ROWS if self.views or row[0] != OF_VIEWS]
+        figures = [(words, unit, float(getattr(self, name)) * factor, decimals) for name, words, unit, factor, decimals in shown]
         if self.trajectory is not None:
             figures.append(("duration of the motion", "s", self.trajectory.duration_s, 2))
         rows += [(f"{words} [{unit}]", f"{value:.{decimals}f}") for words, unit, value, decimals in figures if np.isfinite(value)]
