@@ -6,6 +6,9 @@ the body's surface are close enough (6 mm apart, which overstates such a distanc
 
 from __future__ import annotations
 
+import heapq
+import itertools
+
 import numpy as np
 from scipy.spatial import cKDTree
 
@@ -56,12 +59,42 @@ class StemClearance:
         """Return the smallest distance over configurations (K, n), at most `CAP_M` [m]."""
         rows = np.ascontiguousarray(configurations)
         bounds = np.array([self._bounds(q) for q in rows])
-        nearest, best = bounds.min(axis=1), CAP_M
-        for k in np.argsort(nearest):
-            if nearest[k] - _MODEL_ERROR_M >= best:
+        nearest = float(bounds[:, :-1].min(initial=CAP_M))
+        if self._stems is None or nearest < self._grid_m:
+            return nearest
+        # Far from stems: no place of the arm moves further from one row to another than this, and neither does its distance change.
+        steps = np.abs(np.diff(rows, axis=0)) @ self._obstacles.shapes.lever
+        moved = np.concatenate([[0.0], np.cumsum(steps.max(axis=1, initial=0.0))])
+        best = CAP_M
+        borders = np.flatnonzero(np.diff(bounds[:, -1])) + 1  # where points begin or cease to be spared
+        for first, end in itertools.pairwise([0, *borders.tolist(), len(rows)]):
+            best = self._smallest_between(rows, bounds, moved, first, end - 1, best)
+        return best
+
+    def _smallest_between(self, rows: Array, bounds: Array, moved: Array, first: int, last: int, best: float) -> float:
+        """Return the smallest distance over rows `first` to `last` where it is less than `best`, by halving, the most promising first."""
+        at = {k: self._exact(rows[k], bounds[k], CAP_M) for k in {first, last}}
+        best = min(best, *at.values())
+
+        def least_between(a: int, b: int) -> float:
+            way = float(moved[b] - moved[a])
+            return max(0.5 * (at[a] + at[b] - way), at[a] - way, at[b] - way)
+
+        waiting = [(least_between(first, last), first, last)]
+        while waiting:
+            least, a, b = heapq.heappop(waiting)
+            if least >= best:
                 break
-            best = min(best, self._exact(rows[k], bounds[k], best))
-        return float(best)
+            if b - a < 2:
+                continue
+            middle = (a + b) // 2
+            # More than this rules both halves out: how much more is not asked for.
+            enough = best + float(max(moved[middle] - moved[a], moved[b] - moved[middle]))
+            at[middle] = self._exact(rows[middle], bounds[middle], min(enough, CAP_M))
+            best = min(best, at[middle])
+            for c, d in ((a, middle), (middle, b)):
+                heapq.heappush(waiting, (least_between(c, d), c, d))
+        return best
 
     def _bounds(self, q: Array) -> Array:
         """Lower bounds for each body (B,), the distance itself where that is small [m]; the last one is whether points are spared."""
@@ -86,8 +119,10 @@ class StemClearance:
             # Of the surface only what lies around a sphere that may be near: the rest of thousands of points need not be asked for.
             reach = self._reach[first:last]
             centres = shapes.fine[first:last, :3] @ pose[:, :3].T + pose[:, 3]
-            apart = tree.query(centres, distance_upper_bound=best + radius + float(reach.max()))[0] - reach
-            near = first + np.flatnonzero(apart < best + radius)
+            apart = tree.query(centres, distance_upper_bound=best + radius + float(reach.max()))[0]
+            # A sphere's surface points are no farther from a stem than its centre and they together.
+            limit = min(best + radius, float((apart + reach).min(initial=np.inf, where=reach > 0.0)))
+            near = first + np.flatnonzero(apart - reach <= limit)
             pieces = [shapes.surface[shapes.surface_start[sphere] : shapes.surface_start[sphere + 1]] for sphere in near]
             surface = np.concatenate(pieces) if pieces else np.empty((0, 3))
             if not len(surface):
