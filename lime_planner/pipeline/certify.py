@@ -16,6 +16,7 @@ from lime_planner.motion.contract import violations
 from lime_planner.motion.timing import time_path
 from lime_planner.motion.trajectory import Trajectory
 from lime_planner.pipeline.context import Clock, ask
+from lime_planner.pipeline.figures import leaf_profile
 from lime_planner.pipeline.leaf_spans import leaf_spans
 from lime_planner.pipeline.obstacles import Obstacles
 from lime_planner.robot.model import Robot
@@ -23,6 +24,7 @@ from lime_planner.robot.model import Robot
 CERTIFIED_STEP_RAD = 0.01  # spacing of the exact check along a path
 STRAIGHT_TOLERANCE_RAD = 0.001  # of corners on a straight stretch: a millimetre at the tool
 SLOWED_RAD = 0.02  # the arm is slow already this far before contact
+_MORE_CONTACT_RAD = 0.02  # with leaves, by which a motion may exceed its path before it is timed closer
 _CLOSE_TOLERANCE_RAD = 0.001  # of corners, where the motion touched something with the tolerance of the settings
 
 
@@ -40,7 +42,14 @@ def hit_of(checker: ExactChecker, configurations: Array, should_stop: Callable[[
     return f"{certificate.hit} at sample {certificate.index} of {len(configurations)}"
 
 
-def make_trajectory(robot: Robot, waypoints: Array, obstacles: Obstacles, settings: Settings, straight: slice | None = None) -> Trajectory:
+def make_trajectory(
+    robot: Robot,
+    waypoints: Array,
+    obstacles: Obstacles,
+    settings: Settings,
+    straight: slice | None = None,
+    close: Array | None = None,
+) -> Trajectory:
     """Time a path within the robot's scaled limits, slower inside leaves where the settings ask for it.
 
     Args:
@@ -49,8 +58,11 @@ def make_trajectory(robot: Robot, waypoints: Array, obstacles: Obstacles, settin
         obstacles: tell where leaves are.
         settings: scalings and tolerances.
         straight: the waypoints along which the tool keeps to a straight line: there the motion stays closer to them.
+        close: numbers of waypoints at which it stays as close.
     """
     tolerances = np.full(len(waypoints), settings.corner_tolerance_rad)
+    if close is not None:
+        tolerances[close] = min(_CLOSE_TOLERANCE_RAD, settings.corner_tolerance_rad)
     if straight is not None and len(waypoints[straight]) > 1:
         tolerances[straight] = min(STRAIGHT_TOLERANCE_RAD, settings.corner_tolerance_rad)
     scale: Callable[[Array], Array] | None = None
@@ -102,7 +114,8 @@ def timed_motion(
 ) -> Trajectory:
     """Time a path, hold it to the rules of the motion command, and check what comes out exactly.
 
-    A motion that touches something where it cuts a corner of the certified path is timed once more, closer to the path.
+    A motion that touches something hard where it cuts a corner of the certified path is timed once more, closer to the path; so is one
+    that touches more leaves than the path, whose figures would not be its own: closer at the corners where it does.
 
     Raises:
         Refusal: PATH_INVALID with the broken rules or the contact; CANCELLED.
@@ -123,5 +136,25 @@ def timed_motion(
         hit = hit_of(checker, trajectory.configurations(CERTIFIED_STEP_RAD), should_stop)
         clock.lap("certificate")
         if hit is None:
-            return trajectory
-    raise Refusal(Status.PATH_INVALID, f"the exact check refuses the timed motion: {hit}")
+            break
+    else:
+        raise Refusal(Status.PATH_INVALID, f"the exact check refuses the timed motion: {hit}")
+    close = _leafy_corners(obstacles, waypoints, trajectory)
+    if len(close) and tolerance > _CLOSE_TOLERANCE_RAD:
+        closer = make_trajectory(obstacles.robot, waypoints, obstacles, settings, straight, close)
+        broken = contract_violations(obstacles.robot, closer, q_measured, settings)
+        if not broken and hit_of(checker, closer.configurations(CERTIFIED_STEP_RAD), should_stop) is None:
+            trajectory = closer
+        clock.lap("timing")
+    return trajectory
+
+
+def _leafy_corners(obstacles: Obstacles, waypoints: Array, trajectory: Trajectory) -> Array:
+    """Return the numbers of the waypoints near which a motion touches leaves, if it does so for longer than its path (M, n)."""
+    rows = trajectory.configurations(CERTIFIED_STEP_RAD)
+    touches = leaf_profile(obstacles, rows)[0] > 0.0
+    steps = np.linalg.norm(np.diff(rows, axis=0), axis=1)
+    touching_rad = float((0.5 * (touches[1:].astype(float) + touches[:-1]) * steps).sum())
+    if touching_rad <= leaf_spans(obstacles, waypoints).contact_rad + _MORE_CONTACT_RAD:
+        return np.zeros(0, np.int64)
+    return np.unique(np.linalg.norm(rows[touches, None] - waypoints, axis=2).argmin(axis=1))
