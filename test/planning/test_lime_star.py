@@ -343,7 +343,7 @@ def test_stops_within_50_ms(kind: str) -> None:
         results = []
         for seed in range(1, 4):
             results.append(asked(lambda stop, s=seed: plan_lime(space, start, goals, options, s, should_stop=stop), after))
-            if results[-1][2] < LATENCY_S:
+            if max(results[-1]) < LATENCY_S:
                 break
         gaps, ends, walls = np.array(results).T
         # CPU time is what the planner answers for; a busy machine may stretch it.

@@ -99,7 +99,7 @@ def test_loads_within_five_seconds(browser: Browser, served: Page) -> None:
     # On a machine that has other things to do, five seconds of our share of it.
     limit_s = 5.0 * max(1.0, os.getloadavg()[0] / (os.cpu_count() or 1))
     times = []
-    for _ in range(3):
+    for _ in range(6):  # the first ones fill the browser's caches
         began = time.monotonic()
         tab = Tab(browser, served.url)
         tab.page.get_by_role("button", name="Plan", exact=True).first.wait_for()
