@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from lime_planner.experiments.runs.arguments import add_run_arguments, make_results_folder
+from lime_planner.experiments.runs.arguments import add_run_arguments
+from lime_planner.experiments.runs.frame import carry_out, run_experiment
 
 if TYPE_CHECKING:
     from lime_planner.experiments.damage.trials import DamageOptions
+    from lime_planner.experiments.runs.results_file import Plan
 
 
 def run_damage(
@@ -30,22 +31,17 @@ def run_damage(
         False if ctrl-C ended it early: what is done is in the folder.
 
     Raises:
-        ParameterError: the folder cannot be made or written to, or holds an earlier run that may not or cannot be continued.
+        ParameterError: see `run_experiment`.
     """
-    from lime_planner.core.atomic_files import write_text
     from lime_planner.experiments.damage.report import table_text
     from lime_planner.experiments.damage.trials import plan_of
-    from lime_planner.experiments.runs.parallel import default_jobs
-    from lime_planner.experiments.runs.results_file import collect
 
-    make_results_folder(out)
-    results, complete = collect(plan_of(options), out / "results.json", jobs=jobs or default_jobs(), scheduler=scheduler, resume=resume)
-    write_text(out / "table.md", table_text(results))
-    if figures and complete:
+    def draw(plan: Plan[Any], results: dict[str, Any]) -> None:
         from lime_planner.experiments.damage.figures import all_figures
 
         all_figures(results, out)
-    return complete
+
+    return run_experiment(lambda: plan_of(options), out, table_text, draw, jobs=jobs, scheduler=scheduler, resume=resume, figures=figures)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -91,11 +87,4 @@ def run(args: argparse.Namespace) -> int:
         repeatable=args.repeatable,
         **lists,
     )
-    figures = not args.no_figures
-    complete = run_damage(options, args.out, jobs=args.jobs, scheduler=args.scheduler, resume=args.resume, figures=figures)
-    print((args.out / "table.md").read_text())
-    if not complete:
-        print(f"Stopped by ctrl-C. What is done is in {args.out}; --resume continues it.", file=sys.stderr)
-        return 130
-    print(f"Written to {args.out}: results.json, table.md" + (", plots" if figures else ""))
-    return 0
+    return carry_out(args, run_damage, options, "results.json, table.md", "plots")

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from lime_planner.experiments.runs.arguments import add_run_arguments, make_results_folder
+from lime_planner.experiments.runs.arguments import add_run_arguments
+from lime_planner.experiments.runs.frame import carry_out, run_experiment
 
 if TYPE_CHECKING:
     from lime_planner.experiments.lime.trials import LimeOptions
+    from lime_planner.experiments.runs.results_file import Plan
 
 
 def run_lime(
@@ -30,23 +31,17 @@ def run_lime(
         False if ctrl-C ended it early: what is done is in the folder.
 
     Raises:
-        ParameterError: the folder cannot be made or written to, or holds an earlier run that may not or cannot be continued.
+        ParameterError: see `run_experiment`.
     """
-    from lime_planner.core.atomic_files import write_text
     from lime_planner.experiments.lime.report import table_text
     from lime_planner.experiments.lime.trials import plan_of
-    from lime_planner.experiments.runs.parallel import default_jobs
-    from lime_planner.experiments.runs.results_file import collect
 
-    make_results_folder(out)
-    plan = plan_of(options)
-    results, complete = collect(plan, out / "results.json", jobs=jobs or default_jobs(), scheduler=scheduler, resume=resume)
-    write_text(out / "table.md", table_text(results))
-    if figures and complete:
+    def draw(plan: Plan[Any], results: dict[str, Any]) -> None:
         from lime_planner.experiments.lime.figure import simulation_figure
 
         simulation_figure(plan, results, out)
-    return complete
+
+    return run_experiment(lambda: plan_of(options), out, table_text, draw, jobs=jobs, scheduler=scheduler, resume=resume, figures=figures)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -72,11 +67,4 @@ def run(args: argparse.Namespace) -> int:
         iterations=args.iterations,
         checker=args.checker,
     )
-    figures = not args.no_figures
-    complete = run_lime(options, args.out, jobs=args.jobs, scheduler=args.scheduler, resume=args.resume, figures=figures)
-    print((args.out / "table.md").read_text())
-    if not complete:
-        print(f"Stopped by ctrl-C. What is done is in {args.out}; --resume continues it.", file=sys.stderr)
-        return 130
-    print(f"Written to {args.out}: results.json, table.md" + (", simulation.png" if figures else ""))
-    return 0
+    return carry_out(args, run_lime, options, "results.json, table.md", "simulation.png")

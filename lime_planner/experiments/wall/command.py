@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import argparse
 import importlib.util
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from lime_planner.core.errors import ParameterError
 from lime_planner.experiments.runs.arguments import add_run_arguments, make_results_folder
+from lime_planner.experiments.runs.frame import carry_out
 
 if TYPE_CHECKING:
     from lime_planner.experiments.wall.trials import WallOptions
@@ -127,11 +127,4 @@ def run(args: argparse.Namespace) -> int:
         changes["propagate"] = True
     marks = tuple(args.marks) if args.marks else tuple(m for m in (1000, 2500, 5000) if m <= args.iterations) or (args.iterations,)
     options = WallOptions(world=world, trials=args.trials, seed=args.seed, iterations=args.iterations, marks=marks, changes=changes)
-    figures = not args.no_figures
-    complete = run_wall(options, args.out, jobs=args.jobs, scheduler=args.scheduler, resume=args.resume, figures=figures)
-    print((args.out / "table.md").read_text())
-    if not complete:
-        print(f"Stopped by ctrl-C. What is done is in {args.out}; --resume continues it.", file=sys.stderr)
-        return 130
-    print(f"Written to {args.out}: results.json, table.md, statistics.md" + (", figures" if figures else ""))
-    return 0
+    return carry_out(args, run_wall, options, "results.json, table.md, statistics.md", "figures")
