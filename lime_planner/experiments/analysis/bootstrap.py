@@ -55,6 +55,16 @@ def by_cluster(groups: Sequence[Array], statistic: Callable[[Array], float]) -> 
     return Estimate(statistic(np.concatenate(rows)), *_percentiles(np.array(drawn)))
 
 
+def by_plant(trials: Sequence[dict[str, Any]], row: Callable[[dict[str, Any]], float | None]) -> list[Array]:
+    """Return one number for each trial, in one array for each of their scenes, for `by_cluster`; None leaves a trial out."""
+    groups: dict[str, list[float]] = {}
+    for trial in trials:
+        value = row(trial)
+        if value is not None:
+            groups.setdefault(trial["scene"], []).append(value)
+    return [np.array(values) for values in groups.values()]
+
+
 def independent(samples: Sequence[Array], statistic: Callable[..., Any]) -> Estimate:
     """Estimate a statistic of several independent samples, each resampled by itself.
 

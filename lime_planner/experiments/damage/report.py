@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from lime_planner.core.types import Array
-from lime_planner.experiments.analysis.bootstrap import Estimate, by_cluster, median
+from lime_planner.experiments.analysis.bootstrap import Estimate, by_cluster, by_plant, median
 from lime_planner.experiments.analysis.tables import markdown_table
 from lime_planner.experiments.damage.trials import LABELS
 
@@ -40,16 +40,6 @@ def figure(trial: dict[str, Any], method: str, name: str) -> float:
     """A figure of one plan; `leaves` is their number."""
     value = trial["methods"][method][name]
     return float(len(value)) if name == "leaves" else float("nan") if value is None else float(value)
-
-
-def by_plant(trials: Trials, row: Callable[[dict[str, Any]], float | None]) -> list[Array]:
-    """One number for each trial, in one array for each plant; None leaves a trial out."""
-    groups: dict[str, list[float]] = {}
-    for trial in trials:
-        value = row(trial)
-        if value is not None:
-            groups.setdefault(trial["scene"], []).append(value)
-    return [np.array(values) for values in groups.values()]
 
 
 def success_difference(trials: Trials, method: str, other: str) -> Estimate:

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
 from lime_planner.core.types import Array
-from lime_planner.experiments.analysis.bootstrap import Estimate, by_cluster
+from lime_planner.experiments.analysis.bootstrap import Estimate, by_cluster, by_plant
 from lime_planner.experiments.analysis.tables import markdown_table
 from lime_planner.experiments.hidden.trials import LABELS
 
@@ -36,15 +35,6 @@ def succeeded(trial: dict[str, Any], method: str) -> bool:
     return bool(trial["methods"][method]["status"] == "SUCCEEDED")
 
 
-def _by_plant(trials: Trials, row: Callable[[dict[str, Any]], float | None]) -> list[Array]:
-    groups: dict[str, list[float]] = {}
-    for trial in trials:
-        value = row(trial)
-        if value is not None:
-            groups.setdefault(trial["scene"], []).append(value)
-    return [np.array(values) for values in groups.values()]
-
-
 def _share(rows: list[Array]) -> Estimate:
     """Share of ones: the interval draws whole plants; where all agree, drawing tells nothing, and the exact binomial interval serves."""
     estimate = by_cluster(rows, lambda x: float(x.mean()))
@@ -59,13 +49,13 @@ def _share(rows: list[Array]) -> Estimate:
 
 def touching(trials: Trials, method: str) -> Estimate:
     """Share of the motions sent, looks with them, that touch a real stem; whole plants are drawn for the interval."""
-    rows = _by_plant(trials, lambda t: float(t["methods"][method]["stems"] > 0) if succeeded(t, method) else None)
+    rows = by_plant(trials, lambda t: float(t["methods"][method]["stems"] > 0) if succeeded(t, method) else None)
     return _share(rows)
 
 
 def reached(trials: Trials, method: str, full: str) -> Estimate:
     """Share of the limes that full knowledge reaches which a method reaches too."""
-    return _share(_by_plant(trials, lambda t: float(succeeded(t, method)) if succeeded(t, full) else None))
+    return _share(by_plant(trials, lambda t: float(succeeded(t, method)) if succeeded(t, full) else None))
 
 
 def leaves_ratio(trials: Trials, method: str, full: str) -> Estimate:

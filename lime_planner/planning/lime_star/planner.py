@@ -35,7 +35,7 @@ from lime_planner.planning.lime_star.side_by_side import Exchange, merged_histor
 from lime_planner.planning.lime_star.tracks import MAX_WAYPOINTS
 from lime_planner.planning.planner import checked_ends, checked_limits
 from lime_planner.planning.sampling import below, draw_between, draw_in_box, normal, uniform
-from lime_planner.planning.space import clamp, distance, evaluate, inside, line, one, raise_pending
+from lime_planner.planning.space import clamp, distance, evaluate, inside, one, raise_pending
 
 __all__ = ["LimeOptions", "LimeOutcome", "plan_lime", "warm_up"]
 
@@ -231,12 +231,9 @@ def _search(run: Run, meet: Callable[[Run], None]) -> None:
         graph.add_vertex(run.space, run.road, g, float(intensity))
     run.road.size[2] = len(run.goals)
     run.road.terminal[1 : 1 + len(run.goals)] = run.terminal
-    for g, terminal in zip(run.goals, run.terminal, strict=True):
-        run.path[0], run.path[1] = run.start, g
-        if np.isfinite(line(run.space, run.start, g, run.options.weight, run.best_cost - terminal)):
-            run.adopt(2)
-        if run.over():
-            return
+    run.straight_lines()
+    if run.over():
+        return
     _first_paths(run)
     detours, restarts = Detours(len(run.start)), Restarts(len(run.goals))
     while not run.over():

@@ -133,6 +133,15 @@ class Run:
             self.best_segments = self.tracks.segment[t, : self.tracks.size[t] - 1].copy()
             self.history.append((self.elapsed(), self.iterations, self.best_cost))
 
+    def straight_lines(self) -> None:
+        """Try the straight line to each goal, with its terminal cost, until a limit is reached."""
+        for goal, terminal in zip(self.goals, self.terminal, strict=True):
+            self.path[0], self.path[1] = self.start, goal
+            if np.isfinite(line(self.space, self.start, goal, self.options.weight, self.best_cost - terminal)):
+                self.adopt(2)
+            if self.over():
+                return
+
     def adopt(self, count: int, *, trials: int = 0, instead: bool = False) -> int:
         """Make the path in `self.path` a track, after some polishing trials; the track, or -1 where it is not worth it.
 

@@ -26,7 +26,7 @@ from lime_planner.planning.rrt_star import goal_nodes
 from lime_planner.planning.rrt_star.growth import Growth
 from lime_planner.planning.rrt_star.options import PaperOptions
 from lime_planner.planning.rrt_star.tree import search_tree, trace
-from lime_planner.planning.space import line, one, raise_pending
+from lime_planner.planning.space import one, raise_pending
 
 _STEP = 3.0  # in steps of the paper's: certified edges are as safe when they are long, and get further
 _REACH = 3.0  # in steps of ours: largest radius of neighbours, and from how far goals are joined
@@ -138,12 +138,7 @@ class _Search:
     def first_path(self) -> None:
         """Straight lines to the goals, then two trees, goal by goal."""
         run = self.run
-        for goal, terminal in zip(run.goals, run.terminal, strict=True):
-            run.path[0], run.path[1] = run.start, goal
-            if np.isfinite(line(run.space, run.start, goal, run.options.weight, run.best_cost - terminal)):
-                run.adopt(2)
-            if run.over():
-                return
+        run.straight_lines()
         for goal in run.goals:
             if math.isfinite(run.best_cost) or run.over():
                 return
