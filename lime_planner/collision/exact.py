@@ -8,7 +8,7 @@ decides the rest: ball against mesh, mesh against mesh, box against mesh. It sha
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import numpy as np
@@ -34,16 +34,13 @@ class Hit:
         link: name of the link.
         what: what it touches: a stem point, the arm itself, a keep-out box, the floor, or the border of the workspace.
         other: what exactly, in words: the point, the other link, the number of the box.
+        place: the stem point, (3,) [m]; None for everything else.
     """
 
     link: str
     what: Literal["stem", "self", "keep_out", "floor", "workspace"]
     other: str
-
-    @property
-    def place(self) -> Array:
-        """The stem point that is touched, (3,) [m]."""
-        return np.array([float(word) for word in self.other.strip("()").split(",")])
+    place: Array | None = field(default=None, compare=False)
 
     def __str__(self) -> str:
         """Return the contact in words."""
@@ -247,7 +244,7 @@ class ExactChecker:
         if found is None:
             return None
         link, point = found
-        return Hit(self.robot.links[link].name, "stem", "({:.3f}, {:.3f}, {:.3f})".format(*point))
+        return Hit(self.robot.links[link].name, "stem", "({:.3f}, {:.3f}, {:.3f})".format(*point), np.asarray(point))
 
     def _inside(self, link: int, point: Array) -> bool:
         pose = self._poses[self._boxes.joint[link]]

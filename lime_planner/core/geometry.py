@@ -13,6 +13,14 @@ from lime_planner.core.types import Array, Bool
 from lime_planner.core.validation import floats
 
 
+def sphere_directions(count: int) -> Array:
+    """Return unit vectors (count, 3) spread evenly over the sphere, a Fibonacci lattice."""
+    at = np.arange(count) + 0.5
+    height, turn = 1.0 - 2.0 * at / count, np.pi * (1.0 + np.sqrt(5.0)) * at
+    flat = np.sqrt(1.0 - height * height)
+    return np.column_stack([flat * np.cos(turn), flat * np.sin(turn), height])
+
+
 def pose_to_matrix(pose: npt.ArrayLike) -> Array:
     """Turn x y z qx qy qz qw [m, -] into a 4 x 4 matrix.
 

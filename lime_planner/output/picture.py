@@ -258,9 +258,9 @@ def _draw_unseen(axes: Axes, view: View, places: Float32) -> None:
     if depth_m.max() < _UNSEEN_DEPTH_M:
         return
     middles = [0.5 * (edges[1:] + edges[:-1]) for edges in (columns, rows)]
-    for lines in (axes.contourf(*middles, depth_m, levels=[_UNSEEN_DEPTH_M, np.inf], colors="none", hatches=["///"], zorder=2),):
-        lines.set_edgecolor((*UNSEEN, 0.6))
-        lines.set_linewidth(0.0)
+    hatched = axes.contourf(*middles, depth_m, levels=[_UNSEEN_DEPTH_M, np.inf], colors="none", hatches=["///"], zorder=2)
+    hatched.set_edgecolor((*UNSEEN, 0.6))
+    hatched.set_linewidth(0.0)
 
 
 def _draw_target(axes: Axes, view: View, target: Array) -> None:

@@ -110,12 +110,23 @@ def timed_motion(
     settings: Settings,
     clock: Clock,
     should_stop: Callable[[], bool],
+    leaf_contact_rad: float,
     straight: slice | None = None,
 ) -> Trajectory:
     """Time a path, hold it to the rules of the motion command, and check what comes out exactly.
 
     A motion that touches something hard where it cuts a corner of the certified path is timed once more, closer to the path; so is one
     that touches more leaves than the path, whose figures would not be its own: closer at the corners where it does.
+
+    Args:
+        obstacles: where leaves are; checker: where hard things are.
+        waypoints: (M, n) the certified path [rad].
+        q_measured: (n,) where the arm is [rad].
+        settings: scalings and tolerances.
+        clock: takes the times of the parts.
+        should_stop: cancels.
+        leaf_contact_rad: of the path, as its figures have it.
+        straight: see `make_trajectory`.
 
     Raises:
         Refusal: PATH_INVALID with the broken rules or the contact; CANCELLED.
@@ -133,13 +144,14 @@ def timed_motion(
         broken = contract_violations(obstacles.robot, trajectory, q_measured, settings)
         if broken:
             raise Refusal(Status.PATH_INVALID, "; ".join(broken))
-        hit = hit_of(checker, trajectory.configurations(CERTIFIED_STEP_RAD), should_stop)
+        rows = trajectory.configurations(CERTIFIED_STEP_RAD)
+        hit = hit_of(checker, rows, should_stop)
         clock.lap("certificate")
         if hit is None:
             break
     else:
         raise Refusal(Status.PATH_INVALID, f"the exact check refuses the timed motion: {hit}")
-    close = _leafy_corners(obstacles, waypoints, trajectory)
+    close = _leafy_corners(obstacles, waypoints, rows, leaf_contact_rad)
     if len(close) and tolerance > _CLOSE_TOLERANCE_RAD:
         closer = make_trajectory(obstacles.robot, waypoints, obstacles, settings, straight, close)
         broken = contract_violations(obstacles.robot, closer, q_measured, settings)
@@ -149,12 +161,11 @@ def timed_motion(
     return trajectory
 
 
-def _leafy_corners(obstacles: Obstacles, waypoints: Array, trajectory: Trajectory) -> Array:
-    """Return the numbers of the waypoints near which a motion touches leaves, if it does so for longer than its path (M, n)."""
-    rows = trajectory.configurations(CERTIFIED_STEP_RAD)
+def _leafy_corners(obstacles: Obstacles, waypoints: Array, rows: Array, leaf_contact_rad: float) -> Array:
+    """Return the numbers of the waypoints (M, n) near which a motion (K, n) touches leaves, if for longer than its path does."""
     touches = leaf_profile(obstacles, rows)[0] > 0.0
     steps = np.linalg.norm(np.diff(rows, axis=0), axis=1)
     touching_rad = float((0.5 * (touches[1:].astype(float) + touches[:-1]) * steps).sum())
-    if touching_rad <= leaf_spans(obstacles, waypoints).contact_rad + _MORE_CONTACT_RAD:
+    if touching_rad <= leaf_contact_rad + _MORE_CONTACT_RAD:
         return np.zeros(0, np.int64)
     return np.unique(np.linalg.norm(rows[touches, None] - waypoints, axis=2).argmin(axis=1))

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from lime_planner.collision.fast import LEAF
-from lime_planner.collision.joint_space import measure
+from lime_planner.collision.joint_space import ArmSpace, measure
 from lime_planner.core.geometry import matrix_to_pose
 from lime_planner.core.types import Array
 from lime_planner.pipeline.clearance import StemClearance
@@ -41,7 +41,10 @@ def sample_path(waypoints: Array, step_rad: float) -> tuple[Array, Array]:
 
 def leaf_profile(obstacles: Obstacles, configurations: Array) -> tuple[Array, Array]:
     """Leaf intensity and clearance to stems [m] at configurations (K, n)."""
-    space = obstacles.measuring_space()
+    return _profile(obstacles.measuring_space(), configurations)
+
+
+def _profile(space: ArmSpace, configurations: Array) -> tuple[Array, Array]:
     leaf, clear = np.zeros(len(configurations)), np.zeros(len(configurations))
     for i, q in enumerate(np.ascontiguousarray(configurations)):
         measure(space, q)
@@ -52,13 +55,8 @@ def leaf_profile(obstacles: Obstacles, configurations: Array) -> tuple[Array, Ar
 
 def _in_unseen(obstacles: Obstacles, configurations: Array) -> Array:
     """Tell of configurations (K, n) whether they are in unseen space, 1 or 0."""
-    space, found = obstacles.unseen_space(), np.zeros(len(configurations))
-    if space is None:
-        return found
-    for i, q in enumerate(np.ascontiguousarray(configurations)):
-        measure(space, q)
-        found[i] = space.state.misc[LEAF]
-    return found
+    space = obstacles.unseen_space()
+    return np.zeros(len(configurations)) if space is None else _profile(space, configurations)[0]
 
 
 def _tool_contact_m(robot: Robot, contact: LeafSpans, rows: Array, lengths: Array) -> float:

@@ -19,6 +19,7 @@ from lime_planner.pipeline.obstacles import Obstacles
 from lime_planner.robot.ik import solve_ik
 
 MODEL_ERROR_M = 0.001  # a goal's clearance in the fast model must exceed what the model may be wrong by
+TOO_CLOSE = f"within {1e3 * MODEL_ERROR_M:g} mm of something hard, too close to be certified"
 _BELOW_OWN_M = 0.0004  # at an anchor a little less than its own clearance is required
 _OVERHANG_M = 0.008  # the fast model's spheres reach this far beyond the meshes where they meet boxes, floor and workspace
 _BOX_SLACK_RAD = np.pi / 2  # the sampling box reaches this far beyond start and goals
@@ -175,9 +176,9 @@ def _where(hits: list[Hit]) -> str:
     often = "" if count == len(hits) else "most often "
     if own[0].what == "self":
         return f" ({often}{link} and {collections.Counter(hit.other for hit in own).most_common(1)[0][0]})"
-    if own[0].what != "stem":
+    places = np.array([hit.place for hit in own if hit.place is not None])
+    if not len(places):
         return f" ({often}{link})"
-    places = np.array([hit.place for hit in own])
     nearest = places[np.linalg.norm(places - np.median(places, axis=0), axis=1).argmin()]
     return " ({}{} at {:.2f} {:.2f} {:.2f})".format(often, link, *nearest)
 
@@ -185,7 +186,7 @@ def _where(hits: list[Hit]) -> str:
 _TIGHT = Hit("", "stem", "")
 _IN_WORDS = {
     "stem": "in a stem",
-    "tight": f"within {1e3 * MODEL_ERROR_M:g} mm of something hard, too close to be certified",
+    "tight": TOO_CLOSE,
     "self": "in collision with the arm itself",
     "keep_out": "in a keep-out box",
     "floor": "below the floor",

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lime_planner.collision.touched_points import touched_points
+from lime_planner.core.geometry import sphere_directions
 from lime_planner.core.parameters import Settings
 from lime_planner.core.types import Array, Float32
 from lime_planner.pipeline.context import never
@@ -91,7 +92,7 @@ def candidate_views(scene: Scene, voxels: Float32, reach_m: float) -> tuple[Arra
     poses: list[Array] = []
     shown: list[float] = []
     for distance_m in DISTANCES_M:
-        for eye in middle + distance_m * _directions(DIRECTIONS):
+        for eye in middle + distance_m * sphere_directions(DIRECTIONS):
             if not 0.2 < float(np.linalg.norm(eye)) < reach_m or _nearest_m(things, eye) < CLEAR_M:
                 continue
             T = look_at(eye, middle)
@@ -169,10 +170,3 @@ def _turned(angle_rad: float) -> Array:
     T, c, s = np.eye(4), np.cos(angle_rad), np.sin(angle_rad)
     T[:2, :2] = [[c, -s], [s, c]]
     return T
-
-
-def _directions(count: int) -> Array:
-    """Unit vectors spread evenly (a Fibonacci lattice), (count, 3)."""
-    at = np.arange(count) + 0.5
-    height, turn = 1.0 - 2.0 * at / count, np.pi * (1.0 + 5.0**0.5) * at
-    return np.stack([np.sqrt(1.0 - height**2) * np.cos(turn), np.sqrt(1.0 - height**2) * np.sin(turn), height], axis=1)

@@ -194,7 +194,7 @@ class Pipeline:
                 sentence = f"{figures['unseen_contact_rad']:.3f} rad of the best path lie in space that {views} did not show"
                 raise Refusal(Status.UNSEEN, f"{sentence}, allowed are {limit:.3f} rad")
             straight = slice(straight_from, len(path))
-            figures["trajectory"] = timed_motion(obstacles, checker, path, q, settings, clock, ended, straight)
+            figures["trajectory"] = timed_motion(obstacles, checker, path, q, settings, clock, ended, figures["leaf_contact_rad"], straight)
         except Refusal as refusal:
             if refusal.status is Status.CANCELLED and not should_stop():
                 sentence = f"the deadline, {deadline_s:.2f} s after planning began, passed before a motion was certified"

@@ -63,7 +63,8 @@ def follow(
             raise Refusal(Status.PATH_INVALID, f"the exact check refuses the path: {hit}")
         figures = path_figures(world, path, None)
         clock.lap("figures")
-        figures["trajectory"] = timed_motion(world, checker, path, path[0], settings, clock, should_stop, straight)
+        contact_rad = figures["leaf_contact_rad"]
+        figures["trajectory"] = timed_motion(world, checker, path, path[0], settings, clock, should_stop, contact_rad, straight)
         status, sentence = Status.SUCCEEDED, f"{figures['path_length_rad']:.2f} rad, {figures['trajectory'].duration_s:.1f} s of motion"
     except Refusal as refusal:
         status, sentence = refusal.status, str(refusal)

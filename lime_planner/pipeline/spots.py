@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from lime_planner.core.geometry import sphere_directions
 from lime_planner.core.parameters import Settings
 from lime_planner.core.types import Array, Float32
 from lime_planner.scene.scene import Scene
@@ -63,14 +64,9 @@ def shown_radius_m(scene: Scene, centre: Array) -> float | None:
 
 
 def ball(centre: npt.ArrayLike, radius_m: float) -> Float32:
-    """Return points (P, 3) spread evenly over a sphere, about 4 mm apart (a Fibonacci lattice) [m]."""
+    """Return points (P, 3) spread evenly over a sphere, about 4 mm apart [m]."""
     count = max(12, int(4.0 * np.pi * (radius_m / _SPACING_M) ** 2))
-    at = np.arange(count) + 0.5
-    height = 1.0 - 2.0 * at / count
-    turn = np.pi * (1.0 + 5.0**0.5) * at
-    flat = np.sqrt(1.0 - height**2)
-    directions = np.stack([flat * np.cos(turn), flat * np.sin(turn), height], axis=1)
-    return np.asarray(np.asarray(centre, dtype=np.float64) + radius_m * directions, dtype=np.float32)
+    return np.asarray(np.asarray(centre, dtype=np.float64) + radius_m * sphere_directions(count), dtype=np.float32)
 
 
 def hard_points(scene: Scene, spot: Spot | None, settings: Settings) -> Float32:

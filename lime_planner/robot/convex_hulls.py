@@ -7,6 +7,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 import numpy.typing as npt
 
+from lime_planner.core.geometry import sphere_directions
 from lime_planner.core.types import Array, Float32
 from lime_planner.robot.meshes import LinkMesh
 from lime_planner.robot.model import Robot
@@ -34,18 +35,10 @@ def _hull(link: LinkMesh) -> Array:
 
     kept = _HULLS.get(link)
     if kept is None:
-        outermost = link.vertices[np.unique((link.vertices @ _directions().T).argmax(axis=0))]
+        outermost = link.vertices[np.unique((link.vertices @ sphere_directions(_DIRECTIONS).T).argmax(axis=0))]
         try:
             kept = outermost[ConvexHull(outermost).simplices]
         except QhullError:  # a flat link
             kept = link.vertices[link.triangles]
         _HULLS[link] = kept
     return kept
-
-
-def _directions() -> Array:
-    """Spread directions evenly over the sphere, (D, 3), by the golden angle."""
-    k = np.arange(_DIRECTIONS) + 0.5
-    z, angle = 1.0 - 2.0 * k / _DIRECTIONS, np.pi * (1.0 + np.sqrt(5.0)) * k
-    radius = np.sqrt(1.0 - z * z)
-    return np.column_stack([radius * np.cos(angle), radius * np.sin(angle), z])

@@ -41,5 +41,5 @@ def test_a_corner_is_not_cut_through_a_leaf() -> None:
     obstacles = obstacles_of(scene_of(leaves=leaves[met]))
     assert met.sum() > 2 and leaf_profile(obstacles, cut)[0].any() and not leaf_profile(obstacles, on_path)[0].any()
     checker = ExactChecker(robot, np.zeros((0, 3), np.float32), point_radius_m=RADIUS_M)
-    motion = timed_motion(obstacles, checker, path, path[0], settings, Clock(), lambda: False)
+    motion = timed_motion(obstacles, checker, path, path[0], settings, Clock(), lambda: False, 0.0)
     assert not leaf_profile(obstacles, motion.configurations(CERTIFIED_STEP_RAD))[0].any()

@@ -9,7 +9,7 @@ import numpy as np
 from lime_planner.collision.exact import ExactChecker
 from lime_planner.core.status import Status
 from lime_planner.core.types import Array
-from lime_planner.pipeline.goals import ARM_BLOCKED, HAND_BLOCKED, NO_ROOM, OUT_OF_REACH, Approaches
+from lime_planner.pipeline.goals import ARM_BLOCKED, HAND_BLOCKED, NO_ROOM, OUT_OF_REACH, TOO_CLOSE, Approaches
 from lime_planner.pipeline.obstacles import Obstacles
 from lime_planner.pipeline.targets import Target
 
@@ -56,8 +56,8 @@ def _commonest(obstacles: Obstacles, checker: ExactChecker, approaches: Approach
     for q in arms[::share]:
         hit = checker.stem_hit(q)
         if hit is None:
-            names["within 1 mm of something hard, too close to be certified"] += 1
-        elif hit.what == "stem":
+            names[TOO_CLOSE] += 1
+        elif hit.place is not None:
             places.append(hit.place)
         else:
             names[{"self": "through the arm itself", "keep_out": f"through {hit.other}"}.get(hit.what, f"through the {hit.what}")] += 1
