@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from lime_planner.core.errors import ParameterError
-from lime_planner.core.parameters import Settings, parse_assignment, settings_from
+from lime_planner.core.parameters import Settings, settings_from
 from lime_planner.experiments.grasps import Grasp, grasps_of, plant_spec, rng_of
 from lime_planner.experiments.problems import SceneSpec, pipeline_of, scene_of
+from lime_planner.experiments.runs.methods import check_options, split_method
 from lime_planner.experiments.runs.results_file import Plan
 from lime_planner.experiments.swept_leaves import CloudTruth, LeafTruth
 from lime_planner.pipeline.pipeline import Pipeline
@@ -96,13 +96,7 @@ class DamageOptions:
         Raises:
             ParameterError: names the field, its value and what is allowed.
         """
-        for name, least in (("plants", 0), ("limes", 1), ("scan_targets", 1), ("seed", 0)):
-            if getattr(self, name) < least:
-                raise ParameterError(f"{name} must be at least {least}, got {getattr(self, name)}")
-        if unknown := [v for v in self.densities if v not in DENSITIES]:
-            raise ParameterError(f"densities: {unknown[0]!r} is none of {', '.join(DENSITIES)}")
-        for method in self.methods:
-            self.settings(method)
+        check_options(self, {"plants": 0, "limes": 1, "scan_targets": 1, "seed": 0})
 
     def settings(self, method: str) -> Settings:
         """The pipeline's settings for a method.
@@ -110,13 +104,11 @@ class DamageOptions:
         Raises:
             ParameterError: an unknown method, or parameter after its colon.
         """
-        name, _, changes = method.partition(":")
-        if name not in METHODS:
-            raise ParameterError(f"method {name!r} is none of {', '.join(METHODS)}")
+        name, changes = split_method(method, METHODS)
         iterations = REPEATABLE[name] if self.repeatable else self.iterations
         # One thread: trials go side by side themselves.
         values = {"time_budget_s": self.time_s, "iterations": iterations, "threads": 1, "robot": self.robot, **METHODS[name]}
-        return settings_from({**values, **dict(parse_assignment(text) for text in changes.split(",") if text)})
+        return settings_from({**values, **changes})
 
     def scenes(self) -> list[SceneSpec]:
         """All plants, then all scans."""

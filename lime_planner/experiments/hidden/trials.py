@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from lime_planner.core.errors import ParameterError
-from lime_planner.core.parameters import Settings, parse_assignment, settings_from
+from lime_planner.core.parameters import Settings, settings_from
 from lime_planner.core.types import Array, Float32
 from lime_planner.experiments.grasps import Grasp, grasps_of, plant_spec, rng_of
 from lime_planner.experiments.problems import SceneSpec, pipeline_of, scene_of
+from lime_planner.experiments.runs.methods import check_options, split_method
 from lime_planner.experiments.runs.results_file import Plan
 from lime_planner.experiments.swept_leaves import LeafTruth
 from lime_planner.experiments.swept_stems import StemTruth
@@ -85,13 +85,7 @@ class HiddenOptions:
         Raises:
             ParameterError: names the field, its value and what is allowed.
         """
-        for name, least in (("plants", 1), ("limes", 1), ("first_plant", 0), ("seed", 0), ("max_looks", 0)):
-            if getattr(self, name) < least:
-                raise ParameterError(f"{name} must be at least {least}, got {getattr(self, name)}")
-        if unknown := [v for v in self.densities if v not in DENSITIES]:
-            raise ParameterError(f"densities: {unknown[0]!r} is none of {', '.join(DENSITIES)}")
-        for method in self.methods:
-            self.settings(method)
+        check_options(self, {"plants": 1, "limes": 1, "first_plant": 0, "seed": 0, "max_looks": 0})
 
     def settings(self, method: str) -> Settings:
         """The pipeline's settings for a method.
@@ -99,11 +93,9 @@ class HiddenOptions:
         Raises:
             ParameterError: an unknown method, or parameter after its colon.
         """
-        name, _, changes = method.partition(":")
-        if name not in METHODS:
-            raise ParameterError(f"method {name!r} is none of {', '.join(METHODS)}")
+        name, changes = split_method(method, METHODS)
         values = {"time_budget_s": self.time_s, "robot": self.robot, **KNOWLEDGE[name.partition("-")[0]]}
-        return settings_from({**values, **dict(parse_assignment(text) for text in changes.split(",") if text)})
+        return settings_from({**values, **changes})
 
     def description(self) -> dict[str, Any]:
         """What two runs must have in common for the trials of one to continue the other, JSON-ready."""

@@ -64,6 +64,19 @@ def cell_of(x: Any, y: Any, z: Any, cells: Any) -> tuple[Any, Any, Any, Any]:
     return face, min(row, cells - 1), min(column, cells - 1), np.sqrt(x * x + y * y + z * z)
 
 
+@inline_kernel
+def direction_of(face: Any, row: Any, column: Any, cells: Any) -> tuple[Any, Any, Any, Any]:
+    """Direction of a cell's middle, on the cube of half edge 1, and its length: the inverse of `cell_of`."""
+    sign = 1.0 if face % 2 == 0 else -1.0
+    u, v = (2.0 * row + 1.0) / cells - 1.0, (2.0 * column + 1.0) / cells - 1.0
+    length = np.sqrt(1.0 + u * u + v * v)
+    if face < 2:
+        return sign, u, v, length
+    if face < 4:
+        return u, sign, v, length
+    return u, v, sign, length
+
+
 @kernel
 def _draw(points: Any, origin: Any, cells: int) -> Any:
     depths = np.zeros((6, cells, cells), np.float32)
@@ -84,7 +97,6 @@ def _complete(hit: Any, outline: Any, beside: int) -> Any:
     depths = hit.copy()
     held = np.zeros(cells, np.bool_)  # rows with a hit
     for face in range(6):
-        sign = 1.0 if face % 2 == 0 else -1.0
         for row in range(cells):
             held[row] = hit[face, row].any()
         for row in range(cells):
@@ -103,13 +115,7 @@ def _complete(hit: Any, outline: Any, beside: int) -> Any:
                     depths[face, row, column] = nearest
                 if hits > beside or outline.shape[0] == 0:
                     continue
-                u, v = (2.0 * row + 1.0) / cells - 1.0, (2.0 * column + 1.0) / cells - 1.0
-                if face < 2:
-                    x, y, z = sign, u, v
-                elif face < 4:
-                    x, y, z = u, sign, v
-                else:
-                    x, y, z = u, v, sign
+                x, y, z, _ = direction_of(face, row, column, cells)
                 inside = True
                 for edge in range(outline.shape[0]):
                     if outline[edge, 0] * x + outline[edge, 1] * y + outline[edge, 2] * z < 0.0:

@@ -19,7 +19,7 @@ import numpy.typing as npt
 from lime_planner.core.jit import inline_kernel, kernel
 from lime_planner.core.types import Array, Float32, Int32, UInt8
 from lime_planner.scene.scene import Scene
-from lime_planner.scene.views.depth_map import DepthMap, cell_of, make_depth_map
+from lime_planner.scene.views.depth_map import DepthMap, cell_of, direction_of, make_depth_map
 
 SHADOW_M = 0.4  #: how far behind a hit space counts as unseen: through a canopy, not to the wall behind it
 AROUND_M = 0.05  #: how far around the box of the plant's points
@@ -82,20 +82,13 @@ def _mark_blocks(depths: Any, origin: Any, low: Any, edge: float, reach: float, 
     cells = depths.shape[1]
     steps = int(np.ceil(reach / (0.5 * edge))) + 1
     for face in range(6):
-        sign = 1.0 if face % 2 == 0 else -1.0
         for row in range(cells):
             for column in range(cells):
                 depth = depths[face, row, column]
                 if depth <= 0.0 or depth == np.inf:
                     continue
-                u, v = (2.0 * row + 1.0) / cells - 1.0, (2.0 * column + 1.0) / cells - 1.0
-                scale = 1.0 / np.sqrt(1.0 + u * u + v * v)
-                if face < 2:
-                    x, y, z = sign * scale, u * scale, v * scale
-                elif face < 4:
-                    x, y, z = u * scale, sign * scale, v * scale
-                else:
-                    x, y, z = u * scale, v * scale, sign * scale
+                x, y, z, length = direction_of(face, row, column, cells)
+                x, y, z = x / length, y / length, z / length
                 for step in range(steps):
                     t = depth + min(step * 0.5 * edge, reach)
                     px = (origin[0] + x * t - low[0]) / edge
