@@ -98,23 +98,37 @@ def fail(number: int) -> int:
     raise ValueError(f"trial {number} is impossible")
 
 
-def fail_in_the_middle(number: int) -> int:
-    time.sleep(0.1 if number == 0 else 0.0 if number == 1 else 0.3)
+def wait_for(*marks: Path) -> None:
+    until = time.monotonic() + 30.0
+    while not all(mark.exists() for mark in marks) and time.monotonic() < until:
+        time.sleep(0.01)
+
+
+def fail_in_the_middle(task: tuple[Path, int]) -> int:
+    """Trial 1 ends first, then trial 0 with an error, then the rest: files say who has ended, so that load changes no order."""
+    folder, number = task
+    if number != 1:
+        wait_for(folder / ("1" if number == 0 else "0"))
+        time.sleep(0.3)
+    (folder / str(number)).touch()
     if number == 0:
         raise ValueError("trial 0 is impossible")
     return number
 
 
-def test_an_error_comes_after_what_the_others_finished(dask: Cluster) -> None:
+def test_an_error_comes_after_what_the_others_finished(dask: Cluster, tmp_path: Path) -> None:
     done: list[int] = []
+    tasks = [(tmp_path, number) for number in range(6)]
 
     def slow(number: int) -> None:
-        time.sleep(0.0 if done else 3.0)  # meanwhile the error arrives, and after it all the rest
+        if not done:  # meanwhile the error arrives, and after it all the rest
+            wait_for(*(tmp_path / str(n) for n in range(6)))
+            time.sleep(1.0)
         done.append(number)
 
     with pytest.raises(ValueError, match="trial 0 is impossible"):
-        run_on_cluster(fail_in_the_middle, range(6), slow, scheduler=dask.address, description="errors")
-    assert sorted(done) == [1, 2, 3, 4, 5]
+        run_on_cluster(fail_in_the_middle, tasks, slow, scheduler=dask.address, description="errors")
+    assert done[0] == 1 and sorted(done) == [1, 2, 3, 4, 5]
 
 
 def die(number: int) -> int:
