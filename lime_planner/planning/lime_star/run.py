@@ -21,7 +21,7 @@ from lime_planner.planning.space import line, one
 
 _SLICE_S = 0.004
 _PROMISING = 0.95  # share of the best cost below which a way out that was not reached is tried again
-_EDGES_IN_ONE_GO = 40  # edges among leaves take a millisecond each at worst
+_EDGES_IN_ONE_GO = 10  # an edge among leaves takes a millisecond or two at worst, and a stop is heard in between
 _JOINED_FIRST = 6
 _LONGEST = 16  # such tries take at most so many times the first one's samples
 _FIRST_TRIALS = 20  # ways out tried for each goal before the worse half is left aside; then twice as many for the others
