@@ -32,7 +32,8 @@ class Grasp:
         number: of the lime, or of the place drawn in a scan.
         pose: (7,) of the tool [m, quaternion].
         configurations: how many solutions of inverse kinematics touch no stem.
-        leaves_at_best: leaves that the arm cuts at the solution that cuts fewest: no motion can touch fewer. None on scans.
+        leaves_at_best: leaves that the arm cuts at the solution that cuts fewest: no motion can touch fewer. None on scans, and
+            where it was not asked for.
     """
 
     number: int
@@ -70,16 +71,17 @@ def free_solutions(robot: Robot, scene: Scene, pose: npt.ArrayLike, rng: np.rand
 
 
 @functools.lru_cache(maxsize=4)
-def grasps_of(spec: SceneSpec, wanted: int, robot: str) -> tuple[Grasp, ...]:
+def grasps_of(spec: SceneSpec, wanted: int, robot: str, count_leaves: bool = True) -> tuple[Grasp, ...]:
     """Choose up to `wanted` grasps in a scene.
 
     On a plant: of the limes within 0.85 m, in the order in which they grew, the first ones for which one of `DRAWS` drawn grasps has
-    a solution free of stems. In a scan: places in the canopy, likewise.
+    a solution free of stems. In a scan: places in the canopy, likewise. Leaves are counted only where that is asked for: it takes longer
+    than everything else.
     """
     scene, arm = scene_of(spec), pipeline_of(robot).robot
     rng = rng_of(spec.name, "grasps")
     truth = None
-    if scene.leaf_triangles is not None:
+    if count_leaves and scene.leaf_triangles is not None:
         from lime_planner.experiments.swept_leaves import LeafTruth
 
         truth = LeafTruth(arm, scene)

@@ -198,9 +198,13 @@ class LeafTruth:
         area = float(areas[self._sweeper.reached(motion, centres, STEP_M / 2.0)].sum())
         return Swept(self._numbers[cut], area, len(motion.frames))
 
+    def cut_along(self, motion: Motion) -> Int64:
+        """Return the numbers of the leaves that a link's surface cuts along a motion."""
+        return np.asarray(self._numbers[self._cut(motion)])
+
     def touched_at(self, q: npt.ArrayLike) -> Int64:
         """Return the numbers of the leaves that a link's surface cuts at one configuration (n,)."""
-        return np.asarray(self._numbers[self._cut(motion_samples(self._sweeper.robot, np.atleast_2d(np.asarray(q, dtype=np.float64))))])
+        return self.cut_along(motion_samples(self._sweeper.robot, np.atleast_2d(np.asarray(q, dtype=np.float64))))
 
     def _cut(self, motion: Motion) -> Int64:
         fcl, request = self._fcl, self._fcl.CollisionRequest()

@@ -9,7 +9,7 @@ import numpy as np
 
 from lime_planner.core.parameters import Settings
 from lime_planner.core.types import Int64
-from lime_planner.experiments.swept_leaves import FINE_RAD, Sweeper, motion_samples
+from lime_planner.experiments.swept_leaves import FINE_RAD, Motion, Sweeper, motion_samples
 from lime_planner.motion.trajectory import Trajectory
 from lime_planner.pipeline.spots import Spot, exclusion, spared
 from lime_planner.robot.model import Robot
@@ -28,15 +28,16 @@ class StemTruth:
         self._sweeper = Sweeper(robot)
         self._points = scene.stem_points.astype(np.float64)
 
-    def touched(self, trajectory: Trajectory, spot: Spot | None, settings: Settings) -> Int64:
+    def touched(self, motion: Trajectory | Motion, spot: Spot | None, settings: Settings) -> Int64:
         """Return the numbers of the stem points that a motion touches.
 
         Args:
-            trajectory: the motion.
+            motion: as timed, or as samples of that.
             spot: what is let go for the hand there (the stalk, or what is around an exact pose) does not count.
             settings: say how much that is.
         """
         hidden, _ = exclusion(spot, settings)
         counted = np.flatnonzero(~spared(self._points, hidden)) if hidden[3] > 0.0 else np.arange(len(self._points))
-        motion = motion_samples(self._sweeper.robot, trajectory.configurations(FINE_RAD))
+        if isinstance(motion, Trajectory):
+            motion = motion_samples(self._sweeper.robot, motion.configurations(FINE_RAD))
         return np.asarray(counted[self._sweeper.reached(motion, self._points[counted], TOUCH_M)])

@@ -207,6 +207,76 @@ class View:
     seed: int | None = None
 
 
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """What one view shows of a scene.
+
+    Attributes:
+        seen: (N,) which of its leaf, stem and fruit points, in this order.
+        places: (N, 3) where the camera takes them to be [m].
+        blocking: (B, 3) what it shows of the view's blockers [m].
+    """
+
+    seen: Bool
+    places: Float32
+    blocking: Float32
+
+
+def take_picture(
+    scene: Scene,
+    view: View,
+    *,
+    camera: Camera | None = None,
+    point_radius_m: float = 0.004,
+    rng: np.random.Generator | None = None,
+) -> Picture:
+    """Take one picture of a scene; see `seen_in_views`."""
+    points = np.concatenate([scene.leaf_points, scene.stem_points, scene.fruit_points])
+    chance = rng if view.seed is None else np.random.default_rng(view.seed)
+    seen, places = visible_points(
+        points, view.T_base_camera, camera=camera, blockers=view.blockers, point_radius_m=point_radius_m, rng=chance
+    )
+    blocking = np.empty((0, 3), np.float32)
+    if view.blockers is not None and len(view.blockers):
+        blocking = view.blockers[in_sight(view.blockers, view.T_base_camera, points, camera=camera, point_radius_m=point_radius_m)]
+    return Picture(seen, places, blocking)
+
+
+def scene_in_pictures(scene: Scene, views: Sequence[View], pictures: Sequence[Picture]) -> Scene:
+    """Return what pictures show of a scene together.
+
+    Args:
+        scene: the whole plant.
+        views: what the pictures were taken from; pictures: one for each view.
+
+    Returns:
+        See `seen_scene`.
+    """
+    classes = (scene.leaf_points, scene.stem_points, scene.fruit_points)
+    places = np.concatenate(classes)
+    seen_by: Int16 = np.full(len(places), -1, dtype=np.int16)
+    for number, picture in enumerate(pictures):
+        new = picture.seen & (seen_by < 0)
+        seen_by[new] = number
+        places[new] = picture.places[new]
+    ends = np.cumsum([len(part) for part in classes])[:2]
+    leaf, stem, fruit = np.split(places, ends)
+    leaf_ids, stem_ids, fruit_ids = np.split(seen_by, ends)
+    whole = dataclasses.replace(
+        scene,
+        leaf_points=leaf,
+        stem_points=stem,
+        fruit_points=fruit,
+        viewpoints=np.array([view.T_base_camera[:3, 3] for view in views], dtype=np.float32),
+        leaf_view_ids=leaf_ids,
+        stem_view_ids=stem_ids,
+        fruit_view_ids=fruit_ids,
+        blocking_points=np.concatenate([np.empty((0, 3), np.float32), *(picture.blocking for picture in pictures)]),
+        blocking_view_ids=np.repeat(np.arange(len(pictures), dtype=np.int16), [len(picture.blocking) for picture in pictures]),
+    )
+    return subset(whole, leaf_ids >= 0, stem_ids >= 0, fruit_ids >= 0, reason="not_seen")
+
+
 def seen_in_views(
     scene: Scene,
     views: Sequence[View],
@@ -227,36 +297,5 @@ def seen_in_views(
     Returns:
         See `seen_scene`.
     """
-    classes = (scene.leaf_points, scene.stem_points, scene.fruit_points)
-    points = np.concatenate(classes)
-    places = points.copy()
-    seen_by: Int16 = np.full(len(points), -1, dtype=np.int16)
-    blocking, blocking_by = [np.empty((0, 3), np.float32)], [np.empty(0, np.int16)]
-    for number, view in enumerate(views):
-        chance = rng if view.seed is None else np.random.default_rng(view.seed)
-        seen, taken = visible_points(
-            points, view.T_base_camera, camera=camera, blockers=view.blockers, point_radius_m=point_radius_m, rng=chance
-        )
-        new = seen & (seen_by < 0)
-        seen_by[new] = number
-        places[new] = taken[new]
-        if view.blockers is not None and len(view.blockers):
-            shown = view.blockers[in_sight(view.blockers, view.T_base_camera, points, camera=camera, point_radius_m=point_radius_m)]
-            blocking.append(shown)
-            blocking_by.append(np.full(len(shown), number, np.int16))
-    ends = np.cumsum([len(part) for part in classes])[:2]
-    leaf, stem, fruit = np.split(places, ends)
-    leaf_ids, stem_ids, fruit_ids = np.split(seen_by, ends)
-    whole = dataclasses.replace(
-        scene,
-        leaf_points=leaf,
-        stem_points=stem,
-        fruit_points=fruit,
-        viewpoints=np.array([view.T_base_camera[:3, 3] for view in views], dtype=np.float32),
-        leaf_view_ids=leaf_ids,
-        stem_view_ids=stem_ids,
-        fruit_view_ids=fruit_ids,
-        blocking_points=np.concatenate(blocking),
-        blocking_view_ids=np.concatenate(blocking_by),
-    )
-    return subset(whole, leaf_ids >= 0, stem_ids >= 0, fruit_ids >= 0, reason="not_seen")
+    pictures = [take_picture(scene, view, camera=camera, point_radius_m=point_radius_m, rng=rng) for view in views]
+    return scene_in_pictures(scene, views, pictures)

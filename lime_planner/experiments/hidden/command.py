@@ -52,6 +52,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--limes", type=int, default=3, metavar="N", help="limes of each plant (default: %(default)s)")
     parser.add_argument("--densities", nargs="+", metavar="NAME", help="foliage: sparse, medium, dense (default: all three)")
     parser.add_argument("--time", type=float, default=0.5, metavar="S", help="search budget of every plan [s] (default: %(default)s)")
+    parser.add_argument(
+        "--iterations", type=int, default=0, metavar="N", help="budget of every plan instead, so that a run can be repeated"
+    )
     parser.add_argument("--max-looks", type=int, default=3, metavar="N", help="planned looks at most (default: %(default)s)")
     words = "full, one, priced, three or looks, and after a hyphen fixed or free (default: all)"
     parser.add_argument("--methods", nargs="+", metavar="NAME[:PARAMETER=VALUE,...]", help=words)
@@ -68,6 +71,7 @@ def run(args: argparse.Namespace) -> int:
         first_plant=args.first_plant,
         seed=args.seed,
         time_s=args.time,
+        iterations=args.iterations,
         max_looks=args.max_looks,
         **lists,
     )

@@ -122,10 +122,11 @@ def heading(results: Results) -> str:
     """What was run."""
     options, trials = results["options"], trials_of(results)
     plants = len({t["scene"] for t in results["trials"]})
+    budget = f"{options['iterations']} iterations" if options.get("iterations") else f"{options['time_s']:g} s"
     return (
         f"{plants} generated plants ({', '.join(options['densities'])}; seeds from {options['first_plant']}), {len(trials)} limes "
         f"that can be grasped without touching a stem ({len(results['trials']) - len(trials)} of {len(results['trials'])} cannot); "
-        f"{options['time_s']:g} s of search for each plan, {options['max_looks']} looks at most."
+        f"{budget} of search for each plan, {options['max_looks']} looks at most."
     )
 
 
