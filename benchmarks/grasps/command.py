@@ -32,7 +32,7 @@ from lime_planner.pipeline.result import PlanResult
 from lime_planner.pipeline.spots import ball
 from lime_planner.pipeline.targets import fruit_target
 from lime_planner.robot.model import home
-from lime_planner.scene.plants.generator import DENSITIES
+from lime_planner.scene.plants.generator import DENSITIES, USUAL_DENSITIES
 from lime_planner.scene.plants.grasp_targets import canopy_targets, lime_targets
 from lime_planner.scene.scene import Scene
 
@@ -102,7 +102,7 @@ def main() -> int:
     """Run the trial and print the figures."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n", 1)[0])
     parser.add_argument("--plants", type=int, default=2, metavar="N", help="of each density (default 2)")
-    parser.add_argument("--densities", nargs="+", default=list(DENSITIES), choices=DENSITIES)
+    parser.add_argument("--densities", nargs="+", default=list(USUAL_DENSITIES), choices=DENSITIES)
     parser.add_argument("--scans", type=Path, metavar="FOLDER", help="labelled scans instead of plants")
     parser.add_argument("--targets", type=int, default=10, metavar="N", help="in each scan (default 10)")
     parser.add_argument("--directions", type=int, default=2000, metavar="N", help="of the dense trial (default 2000)")

@@ -28,7 +28,7 @@ from lime_planner.pipeline.goals import sort_out
 from lime_planner.pipeline.search import search
 from lime_planner.robot.ik import solve_ik
 from lime_planner.robot.model import home, load_robot
-from lime_planner.scene.plants.generator import DENSITIES, PlantOptions, generate_plant
+from lime_planner.scene.plants.generator import USUAL_DENSITIES, PlantOptions, generate_plant
 from lime_planner.scene.plants.grasp_targets import canopy_targets, lime_targets
 from lime_planner.scene.scene import Scene
 
@@ -86,7 +86,7 @@ def main(arguments: list[str] | None = None) -> int:
         scene = load_scan(path)
         add("scan", path.stem, scene, canopy_targets(scene, np.random.default_rng(0), options.targets))
     for seed in range(options.plants):
-        density = tuple(DENSITIES)[seed % len(DENSITIES)]
+        density = USUAL_DENSITIES[seed % len(USUAL_DENSITIES)]
         scene = generate_plant(np.random.default_rng(seed), PlantOptions(density=density))
         add("plant", f"{density}:{seed}", scene, lime_targets(scene, np.random.default_rng(0))[: options.targets])
     print("| scenes | targets | with free solutions | goals tried | reached | share |\n|---|---|---|---|---|---|")

@@ -58,7 +58,9 @@ def add_plant_arguments(parser: argparse.ArgumentParser) -> None:
     parser.epilog = _PLANT_EPILOG
     parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="scene file to write: .npz, .ply or .pcd")
     parser.add_argument("--seed", type=int, default=15, metavar="N", help="the same seed grows the same plant (default 15)")
-    parser.add_argument("--density", default="medium", choices=("sparse", "medium", "dense"), help="how many leaves (default medium)")
+    parser.add_argument(
+        "--density", default="medium", choices=("sparse", "medium", "dense", "thicket"), help="how many leaves (default medium)"
+    )
     parser.add_argument("--leaves", type=int, metavar="N", help="number of leaves instead of a density")
     parser.add_argument("--limes", type=int, default=8, metavar="N", help="number of limes (default 8)")
     parser.add_argument("--height", type=float, default=0.90, metavar="M", help="height of the plant [m] (default 0.9)")

@@ -42,10 +42,13 @@ class StemClearance:
         self._unspared = cKDTree(kept) if len(kept) else None
         self._poses = np.empty((obstacles.robot.n + 1, 3, 4))
         shapes = obstacles.shapes
-        #: How far the surface points around each fine sphere lie from its centre, (F,) [m].
-        self._reach = np.zeros(len(shapes.fine))
-        sphere_of = np.repeat(np.arange(len(shapes.fine)), np.diff(shapes.surface_start))
-        np.maximum.at(self._reach, sphere_of, np.linalg.norm(shapes.surface - shapes.fine[sphere_of, :3], axis=1))
+        #: The surface points around each coarse sphere, and how far they lie from its centre, (C,) [m].
+        ends = shapes.surface_start[shapes.fine_start]
+        self._pieces = [shapes.surface[first:end] for first, end in itertools.pairwise(ends)]
+        self._reach = np.array(
+            [np.linalg.norm(piece - c[:3], axis=1).max(initial=0.0) for piece, c in zip(self._pieces, shapes.coarse, strict=True)]
+        )
+        self._body_of = np.repeat(np.arange(len(shapes.coarse_start) - 1), np.diff(shapes.coarse_start))
 
     def at(self, q: Array, most_m: float = CAP_M) -> float:
         """Return the distance at a configuration (n,), negative in a stem, at most `most_m` [m]."""
@@ -106,27 +109,22 @@ class StemClearance:
         best = min(float(clear.min(initial=CAP_M, where=clear < self._grid_m)), most_m)
         if self._stems is None or best < self._grid_m:
             return best
-        shapes = self._obstacles.shapes
+        shapes, radius = self._obstacles.shapes, self._obstacles.world.stem_radius
         forward_kinematics(self._obstacles.robot.chain, np.ascontiguousarray(q), self._poses)
-        for body in np.argsort(clear):
-            if clear[body] >= best:
+        asked = np.flatnonzero((self._reach > 0.0) & (clear[self._body_of] < best))
+        poses = self._poses[self._body_of[asked]]
+        centres = np.einsum("cij,cj->ci", poses[:, :, :3], shapes.coarse[asked, :3]) + poses[:, :, 3]
+        unspared = (self._body_of[asked] == shapes.gripper) & sparing
+        apart = np.full(len(asked), np.inf)
+        for tree, own in ((self._stems, ~unspared), (self._unspared, unspared)):
+            if tree is not None and own.any():
+                apart[own] = tree.query(centres[own], distance_upper_bound=best + radius + float(self._reach.max()))[0]
+        nearest = apart - self._reach[asked]  # no surface point of a sphere is nearer to a stem than this
+        for i in np.argsort(nearest):
+            tree = self._unspared if unspared[i] else self._stems
+            if nearest[i] >= best + radius or tree is None:
                 break
-            tree = self._unspared if sparing and body == shapes.gripper else self._stems
-            first, last = shapes.fine_start[shapes.coarse_start[body : body + 2]]
-            pose, radius = self._poses[body], self._obstacles.world.stem_radius
-            if tree is None or first == last:
-                continue
-            # Of the surface only what lies around a sphere that may be near: the rest of thousands of points need not be asked for.
-            reach = self._reach[first:last]
-            centres = shapes.fine[first:last, :3] @ pose[:, :3].T + pose[:, 3]
-            apart = tree.query(centres, distance_upper_bound=best + radius + float(reach.max()))[0]
-            # A sphere's surface points are no farther from a stem than its centre and they together.
-            limit = min(best + radius, float((apart + reach).min(initial=np.inf, where=reach > 0.0)))
-            near = first + np.flatnonzero(apart - reach <= limit)
-            pieces = [shapes.surface[shapes.surface_start[sphere] : shapes.surface_start[sphere + 1]] for sphere in near]
-            surface = np.concatenate(pieces) if pieces else np.empty((0, 3))
-            if not len(surface):
-                continue
-            found = np.asarray(tree.query(surface @ pose[:, :3].T + pose[:, 3], distance_upper_bound=best + radius)[0])
+            surface = self._pieces[asked[i]] @ poses[i, :, :3].T + poses[i, :, 3]
+            found = np.asarray(tree.query(surface, distance_upper_bound=best + radius)[0])
             best = min(best, max(float(found.min()) - radius, self._grid_m))
         return best

@@ -97,6 +97,20 @@ class Obstacles:
         """The same with another margin."""
         return dataclasses.replace(self, world=self.world._replace(margin=margin_m))
 
+    def with_nothing_let_go(self, settings: Settings) -> Obstacles:
+        """The same for a motion that is not to the target: nothing is let go for the hand, and a keep-out box stands where its fruit is.
+
+        Args:
+            settings: of that motion; their obstacles must be those of these.
+        """
+        boxes = settings.keep_out_boxes
+        if self.spot is not None and self.spot.fruit_radius_m is None and settings.fruit_radius_m > 0.0:  # the fruit itself is let go
+            centre = np.array(self.spot.centre)
+            boxes = (*boxes, *(centre - settings.fruit_radius_m).tolist(), *(centre + settings.fruit_radius_m).tolist())
+        rows = np.array(boxes, dtype=np.float64).reshape(-1, 2, 3)
+        world = self.world._replace(exclusion=np.zeros(6), boxes=rows)
+        return dataclasses.replace(self, world=world, settings=dataclasses.replace(settings, keep_out_boxes=boxes), spot=None)
+
     def exact_checker(self, should_stop: Callable[[], bool] = never) -> ExactChecker:
         """An exact checker of the same obstacles; may raise `Refusal` with CANCELLED."""
         world = self.world

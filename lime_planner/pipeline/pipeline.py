@@ -10,8 +10,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from lime_planner.collision.distance_fields import hash_points
 from lime_planner.collision.exact import ExactChecker
 from lime_planner.collision.link_shapes import Shapes, build_shapes
+from lime_planner.collision.touched_points import touched_anywhere
 from lime_planner.core.errors import Refusal
 from lime_planner.core.geometry import matrix_to_pose
 from lime_planner.core.parameters import Settings, obstacle_settings, settings_from
@@ -36,6 +38,7 @@ from lime_planner.planning.space import line, one
 from lime_planner.robot.model import Robot, home
 from lime_planner.scene import voxels
 from lime_planner.scene.scene import Scene
+from lime_planner.scene.views import sight
 from lime_planner.scene.views.seen_map import SeenMap
 
 _FINISH_S = 0.4  # of a deadline, left for certificate, figures and timing
@@ -82,6 +85,8 @@ class Pipeline:
         line(space, q, goals.configurations[0], 1.0, np.inf)
         self.follow(np.array([q, q + 0.05]), scene, T, settings)
         voxels.warm_up()
+        sight.warm_up()
+        touched_anywhere(self.robot, self.shapes, q, hash_points(points), 0.01)
         checker.stem_distance(q)
         checker.leaf_contact(q)
         for name in planners:
@@ -127,6 +132,7 @@ class Pipeline:
         should_stop: Callable[[], bool] = never,
         deadline_s: float | None = None,
         seed: int = 0,
+        obstacles: Obstacles | None = None,
     ) -> PlanResult:
         """Plan a motion of the tool to a target.
 
@@ -140,6 +146,7 @@ class Pipeline:
             deadline_s: wall time from now for everything, or TIMED_OUT; the search gets what certificate and timing leave, at most its
                 budget.
             seed: of the random generator; 0 draws one, which the result names.
+            obstacles: of the scene, where they are made already and hold for this target too.
 
         Raises:
             ProblemError: `target` is none, `q_start` is not n finite numbers, or `deadline_s` is no time.
@@ -174,7 +181,7 @@ class Pipeline:
             return should_stop() or (deadline_s is not None and clock.elapsed() >= deadline_s)
 
         try:
-            obstacles, checker, goals = self._goals(scene, aim, q, settings, seed, clock, counts, figures, ended)
+            obstacles, checker, goals = self._goals(scene, aim, q, settings, seed, clock, counts, figures, ended, obstacles)
             inside = np.clip(q, self.robot.lower, self.robot.upper)
             path, straight_from, T = self._path(
                 obstacles, checker, inside, goals, settings, seed, clock, counts, ended, deadline_s, iterations
@@ -219,8 +226,9 @@ class Pipeline:
         counts: dict[str, int],
         figures: dict[str, Any],
         should_stop: Callable[[], bool],
+        given: Obstacles | None = None,
     ) -> tuple[Obstacles, ExactChecker, Goals]:
-        obstacles = self.obstacles(scene, aim.spot(scene, settings), settings, should_stop)
+        obstacles = given or self.obstacles(scene, aim.spot(scene, settings), settings, should_stop)
         checker = obstacles.exact_checker(should_stop)
         counts |= obstacles.counts
         clock.lap("fields")

@@ -11,6 +11,7 @@ import pytest
 from lime_planner.cli.main import main
 from lime_planner.core.errors import ProblemError
 from lime_planner.scene.camera import Camera, look_at, seen_scene, visible_points
+from lime_planner.scene.plants.generator import PlantOptions, generate_plant
 from lime_planner.scene.scene import Scene
 
 
@@ -112,3 +113,18 @@ def test_wrong_options_are_one_sentence(option: tuple[str, ...], words: str, tmp
     assert main(arguments) != 0
     error = capsys.readouterr().err
     assert words in error and error.count("\n") == 1
+
+
+@pytest.mark.parametrize("seed", [0, 5, 1000])
+def test_in_a_thicket_no_view_shows_more_than_a_quarter_of_the_stems(seed: int) -> None:
+    """From the front, from beside it, from behind and from above; of a medium plant the same cameras show more."""
+
+    def shares(density: str) -> list[float]:
+        plant = generate_plant(seed, PlantOptions(density=density))
+        middle = np.concatenate([plant.leaf_points, plant.stem_points]).mean(axis=0)
+        eyes = [(0.0, 0.0, 0.6), (-0.4, 0.2, 0.8), (0.3, -1.0, 0.7), (0.3, 1.0, 0.7), (1.4, 0.0, 0.5), (0.5, 0.0, 1.7)]
+        return [len(seen_scene(plant, [eye], target=middle).stem_points) / len(plant.stem_points) for eye in eyes]
+
+    thicket = shares("thicket")
+    assert max(thicket) < 0.25, thicket
+    assert np.mean(shares("medium")) > 1.5 * np.mean(thicket) > 0.05

@@ -8,7 +8,7 @@ from scipy.spatial import cKDTree
 
 from lime_planner.core.errors import ProblemError, SceneError
 from lime_planner.core.geometry import pose_to_matrix
-from lime_planner.scene.plants.generator import DENSITIES, PlantOptions, generate_plant
+from lime_planner.scene.plants.generator import USUAL_DENSITIES, PlantOptions, generate_plant
 from lime_planner.scene.plants.grasp_targets import approach_directions, canopy_targets, grasp_pose, lime_targets
 from lime_planner.scene.scene import Scene
 
@@ -59,7 +59,7 @@ def test_directions_of_any_length_point_the_same_way():
         np.testing.assert_allclose(grasp_pose((0, 0, 0), (0.0, length, 0.0)), grasp_pose((0, 0, 0), (0.0, 1.0, 0.0)), atol=1e-12)
 
 
-@pytest.mark.parametrize("density", DENSITIES)
+@pytest.mark.parametrize("density", USUAL_DENSITIES)
 @pytest.mark.parametrize("seed", range(3))
 def test_the_plants_target_is_a_lime_among_leaves_approached_from_the_robot(density, seed):
     scene = generate_plant(np.random.default_rng(seed), PlantOptions(density=density))

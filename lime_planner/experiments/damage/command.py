@@ -49,7 +49,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_run_arguments(parser)
     parser.add_argument("--plants", type=int, default=17, metavar="N", help="plants of each density (default: %(default)s)")
     parser.add_argument("--limes", type=int, default=4, metavar="N", help="limes of each plant (default: %(default)s)")
-    parser.add_argument("--densities", nargs="+", metavar="NAME", help="foliage: sparse, medium, dense (default: all three)")
+    parser.add_argument("--densities", nargs="+", metavar="NAME", help="foliage: sparse, medium, dense, thicket (default: the first three)")
     parser.add_argument("--scans", type=Path, metavar="DIR", help="folder of labelled scans (.npz) to run on as well")
     parser.add_argument("--scan-targets", type=int, default=8, metavar="N", help="places in each scan (default: %(default)s)")
     budget = parser.add_mutually_exclusive_group()

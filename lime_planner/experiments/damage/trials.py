@@ -20,7 +20,7 @@ from lime_planner.pipeline.pipeline import Pipeline
 from lime_planner.pipeline.result import PlanResult
 from lime_planner.pipeline.targets import Target, candidates_target, fruit_target, pose_target
 from lime_planner.robot.model import home
-from lime_planner.scene.plants.generator import DENSITIES
+from lime_planner.scene.plants.generator import USUAL_DENSITIES
 from lime_planner.scene.plants.grasp_targets import approach_directions, grasp_pose
 
 SCAN_FRUIT_RADIUS_M = 0.02  #: in a scan, the place of a drawn grasp counts as a fruit of this radius
@@ -80,7 +80,7 @@ class DamageOptions:
 
     plants: int = 17
     limes: int = 4
-    densities: tuple[str, ...] = tuple(DENSITIES)
+    densities: tuple[str, ...] = USUAL_DENSITIES
     scans: tuple[str, ...] = ()
     scan_targets: int = 8
     seed: int = 0

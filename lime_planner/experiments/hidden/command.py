@@ -50,7 +50,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--plants", type=int, default=17, metavar="N", help="plants of each density (default: %(default)s)")
     parser.add_argument("--first-plant", type=int, default=0, metavar="N", help="seed of the first plant (default: %(default)s)")
     parser.add_argument("--limes", type=int, default=3, metavar="N", help="limes of each plant (default: %(default)s)")
-    parser.add_argument("--densities", nargs="+", metavar="NAME", help="foliage: sparse, medium, dense (default: all three)")
+    parser.add_argument("--densities", nargs="+", metavar="NAME", help="foliage: sparse, medium, dense, thicket (default: the first three)")
     parser.add_argument("--time", type=float, default=0.5, metavar="S", help="search budget of every plan [s] (default: %(default)s)")
     parser.add_argument(
         "--iterations", type=int, default=0, metavar="N", help="budget of every plan instead, so that a run can be repeated"

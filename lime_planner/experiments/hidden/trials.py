@@ -26,7 +26,7 @@ from lime_planner.pipeline.targets import Target, fruit_target, pose_target
 from lime_planner.robot.kinematics import forward_kinematics
 from lime_planner.robot.model import home
 from lime_planner.scene.camera import Camera, Picture, View, look_at, scene_in_pictures, take_picture
-from lime_planner.scene.plants.generator import DENSITIES
+from lime_planner.scene.plants.generator import USUAL_DENSITIES
 from lime_planner.scene.scene import Scene
 
 #: Where the fixed cameras stand, behind the arm and on either side of the plant [m]; all look at its middle and have it in the picture.
@@ -71,7 +71,7 @@ class HiddenOptions:
 
     plants: int = 17
     limes: int = 3
-    densities: tuple[str, ...] = tuple(DENSITIES)
+    densities: tuple[str, ...] = USUAL_DENSITIES
     first_plant: int = 0
     seed: int = 0
     time_s: float = 0.5

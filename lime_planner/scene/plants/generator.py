@@ -16,8 +16,10 @@ from lime_planner.scene.plants.surface import jitter, on_cones, on_spheres, on_t
 from lime_planner.scene.scene import DEFAULT_FRAME, Scene
 
 #: Leaves on a plant of the default size, and twigs on each of its shoots, by name of the density. Leaf area per volume of
-#: canopy is about 2, 4 and 7 m²/m³; the last is a well-grown citrus.
-DENSITIES: dict[str, tuple[int, int]] = {"sparse": (120, 2), "medium": (250, 3), "dense": (450, 4)}
+#: canopy is about 2, 4, 7 and 14 m²/m³; `dense` is a well-grown citrus, `thicket` one never pruned: a camera sees at most a quarter
+#: of its stem points from anywhere.
+DENSITIES: dict[str, tuple[int, int]] = {"sparse": (120, 2), "medium": (250, 3), "dense": (450, 4), "thicket": (900, 5)}
+USUAL_DENSITIES = ("sparse", "medium", "dense")  #: what experiments grow unless they are asked for others
 _DEFAULT_VOLUME_M3 = 0.28 * 0.28 * 0.325
 
 
