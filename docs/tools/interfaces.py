@@ -54,12 +54,14 @@ MEANINGS: dict[str, dict[str, str]] = {
         "~/preview_to": "The same for the goal in the request (its start is ignored); returns the tool path, empty when there is none.",
         "~/execute": "**Moves the arm.** Checks the previewed plan again, against the newest clouds and joint state, and sends it.",
         "~/plan_and_wait": "**Moves the arm.** As `~/plan`, but answers when the arm rests again: with the motion's verdict (`execution_code`) where one was sent.",
+        "~/look": "**Moves the arm.** Looks with the camera on the arm (`camera_frame`) at what is unseen on the way to the target.",
         "~/retreat": "**Moves the arm.** Backs out along the motion executed last, checked again.",
         "~/stop": "Ends planning and motion. Succeeds when nothing runs, too.",
     },
     "mock_arm": {
         "joint_trajectory": "The motion to play.",
         "joint_states": "The simulated state, fingers included.",
+        "~/true_joint_states": "Where the arm really is, without noise, delay and drops; for simulated cameras.",
     },
     "scene": {
         "leaf_cloud": "Leaf points (not with `labelled`).",

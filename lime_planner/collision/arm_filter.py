@@ -42,13 +42,14 @@ class ArmSurface:
             vertices = np.concatenate([link.vertices for link in links])
             self._bodies.append((joint, scene, vertices.min(axis=0), vertices.max(axis=0)))
 
-    def distance(self, points: npt.ArrayLike, q: npt.ArrayLike, *, within_m: float = FAR_M) -> Array:
+    def distance(self, points: npt.ArrayLike, q: npt.ArrayLike, *, within_m: float = FAR_M, unsigned_below_m: float = 0.0) -> Array:
         """Return each point's distance from the nearest surface of the arm [m], negative inside, at most `within_m`.
 
         Args:
             points: (N, 3) [m], in the planning frame.
             q: configuration, (n,) [rad].
             within_m: farther points are reported as this far; the less, the quicker.
+            unsigned_below_m: points this close to the surface are not asked on which side they are, which takes most of the time.
         """
         cloud = np.asarray(points, dtype=np.float32).reshape(-1, 3)
         distances = np.full(len(cloud), within_m)
@@ -66,14 +67,15 @@ class ArmSurface:
                 continue
             for begin in range(0, len(index), _PART):
                 part = slice(begin, begin + _PART)
-                distances[index[part]] = np.minimum(distances[index[part]], _signed(scene, queried[part], low, high))
+                distances[index[part]] = np.minimum(distances[index[part]], _signed(scene, queried[part], low, high, unsigned_below_m))
         return distances
 
 
-def _signed(scene: Any, points: Float32, low: Array, high: Array) -> Array:
-    """Distances of points (N, 3) from the surface of one body with the box `low` to `high`, negative inside."""
+def _signed(scene: Any, points: Float32, low: Array, high: Array, unsigned_below_m: float) -> Array:
+    """Distances of points (N, 3) from the surface of one body with the box `low` to `high`, negative inside where farther than given."""
     found = scene.compute_distance(points).numpy().astype(np.float64)
     inside = np.asarray(((points > low) & (points < high)).all(axis=1))  # who is outside the box is outside the body
+    inside &= found >= unsigned_below_m
     if inside.any():
         inside[inside] = scene.compute_occupancy(points[inside], nsamples=3).numpy() > 0.5
     return np.asarray(np.where(inside, -found, found), dtype=np.float64)
@@ -93,6 +95,8 @@ def make_arm_filter(robot: Robot) -> ArmFilter:
         if q is None:
             # Taken before the first joint state: where the arm was is unknown. Its points stay, as obstacles.
             return dataclasses.replace(scene, counts={**scene.counts, "arm_not_removed": scene.n_points})
-        return remove_arm(scene, partial(surface.distance, q=q, within_m=padding_m + _SLACK_M), padding_m)
+        if base_position is None:
+            scene = dataclasses.replace(scene, stood=q[None])
+        return remove_arm(scene, partial(surface.distance, q=q, within_m=padding_m + _SLACK_M, unsigned_below_m=padding_m), padding_m)
 
     return remove

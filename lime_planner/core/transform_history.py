@@ -138,6 +138,16 @@ class TransformHistory:
                 seen.add(frame)
         return None
 
+    def bolted(self, frame: str, thing: str) -> Array | None:
+        """Return T_frame_thing (4, 4) of a thing that static transforms alone fasten below a frame; None where they do not."""
+        frame, thing = clean_name(frame), clean_name(thing)
+        with self._lock:
+            chain = self._ancestors(thing)
+            if frame not in chain:
+                return None
+            between = chain[: chain.index(frame)]
+            return None if any(self._edges[name].always is None for name in between) else self._product(between, 0.0, False)
+
     def _chains(self, target: str, source: str) -> tuple[list[str], list[str]]:
         """Return the frames from target and from source up to below what both hang from, each to be followed by its parent."""
         to_root, ancestors = self._ancestors(target), self._ancestors(source)

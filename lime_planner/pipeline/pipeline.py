@@ -13,7 +13,7 @@ import numpy.typing as npt
 from lime_planner.collision.distance_fields import hash_points
 from lime_planner.collision.exact import ExactChecker
 from lime_planner.collision.link_shapes import Shapes, build_shapes
-from lime_planner.collision.touched_points import touched_anywhere
+from lime_planner.collision.touched_points import touched_anywhere, touched_points
 from lime_planner.core.errors import Refusal
 from lime_planner.core.geometry import matrix_to_pose
 from lime_planner.core.parameters import Settings, obstacle_settings, settings_from
@@ -116,10 +116,17 @@ class Pipeline:
         return dataclasses.replace(kept[2], settings=settings)
 
     def seen_map(self, scene: Scene) -> SeenMap:
-        """Map what a scene's views show in the arm's reach; that of the last call if it was for the same scene."""
+        """Map what a scene's views show in the arm's reach; that of the last call if it was for the same scene.
+
+        Where the arm stood when it was seen is no unseen space, although it hid it itself.
+        """
         kept = self._seen  # read and written whole, as in `obstacles`
         if kept is None or kept[0] is not scene:
-            kept = self._seen = (scene, seen_map_of(self.robot, scene))
+            seen = seen_map_of(self.robot, scene)
+            if scene.stood is not None and len(seen.unseen) and scene.stood.shape[1] == self.robot.n:
+                filled = touched_points(self.robot, self.shapes, scene.stood, seen.unseen, seen.voxel_m).any(axis=0)
+                seen = dataclasses.replace(seen, unseen=seen.unseen[~filled])
+            kept = self._seen = (scene, seen)
         return kept[1]
 
     def plan(

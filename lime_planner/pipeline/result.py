@@ -76,6 +76,7 @@ class PlanResult:
         min_stem_clearance_m: smallest distance between arm and stem points' surface along the path, points hidden by the exclusion
             sphere left out; 0.5 where it is more, or without any.
         views: from how many places the scene was seen, 0 where that is not known: then everything counts as seen.
+        looks: how many looks were taken for it.
         unseen_contact_rad: length of the path in space that none of these views shows.
         tool_unseen_m: length of the tool's way with any part of the arm there.
         goal_error_m: distance of the tool at the end from the target.
@@ -115,6 +116,7 @@ class PlanResult:
     tool_leaf_contact_m: float = float("nan")
     min_stem_clearance_m: float = float("nan")
     views: int = 0
+    looks: int = 0
     unseen_contact_rad: float = float("nan")
     tool_unseen_m: float = float("nan")
     goal_error_m: float = float("nan")
@@ -206,7 +208,7 @@ class PlanResult:
         values["warnings"] = list(self.warnings)
         values["target_kind"] = None if self.target is None else self.target.kind
         values["grasp"] = None if self.T_base_tool is None or not len(self.waypoints) else matrix_to_pose(self.T_base_tool).tolist()
-        for name in ("iterations", "n_collision_nodes", "grasps_tried", "grasps_free", "straight_from", "views"):
+        for name in ("iterations", "n_collision_nodes", "grasps_tried", "grasps_free", "straight_from", "views", "looks"):
             values[name] = int(getattr(self, name))
         for name in NUMBERS:
             value = float(getattr(self, name))

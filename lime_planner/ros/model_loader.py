@@ -18,6 +18,7 @@ from lime_planner.output.console import compile_first
 from lime_planner.pipeline import Pipeline
 from lime_planner.robot.model import Robot, load_robot, robot_from_urdf
 from lime_planner.ros.runtime import BackgroundThread, Severity
+from lime_planner.scene.views import fused
 
 #: `robot` parameter that asks for the model from the topic `robot_description`.
 FROM_TOPIC = "topic"
@@ -35,6 +36,7 @@ class Loaded:
         compile_first()
         stop.warm_up()
         self.pipeline.warm_up()
+        fused.warm_up()
 
 
 #: Builds them: (settings, URDF text from the topic or None) -> Loaded.

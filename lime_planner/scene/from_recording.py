@@ -158,7 +158,7 @@ class _Reader:
         names = belonging_together({name: recorded.at_s for name, recorded in clouds.items()})
         for name in names:
             self.heard[clouds[name].topic] = clouds[name].at_s
-        return merged([self._part(name, clouds[name]) for name in names], self._frame.planning_frame)
+        return merged([self._part(name, clouds[name]) for name in names], self._frame.planning_frame, one_picture=True)
 
     def target(self) -> dict[str, Any]:
         """Return the newest target of any kind as the fields of a scene, in the planning frame; none where none was recorded."""

@@ -37,6 +37,7 @@ DEFAULT_FRAME = "base"
 
 FRUIT_LINK_M = 0.012  #: fruit points closer than this belong to one fruit, or to fruits that touch
 FRUIT_EXTENT_M = 0.065  #: a cluster longer than this along any axis is several fruits (a lime measures 4-5 cm)
+_ONE_PLACE_M = 0.005  # viewpoints closer than this are one camera's, which a moving arm carried between two clouds of one picture
 FRUIT_RADIUS_M = 0.03  #: what is let go of such a cluster: its points this close to the target
 
 #: The viewpoints of the points of each class, in the order in which files hold the classes.
@@ -70,6 +71,7 @@ class Scene:
         blocking_points: (B, 3) float32, what cameras saw and what is no obstacle here: the arm itself, ignored classes, what lies out of
             reach. Nothing is known of what they hide.
         blocking_view_ids: (B,) int16, the viewpoint of each.
+        stood: (A, n) float64, configurations in which the arm stood when it was seen [rad]: nothing else was where it was.
         leaf_ids: (N,) int32, the leaf each leaf point lies on; generated plants only.
         leaf_triangles: (L, 3, 3) float32, corners of the leaves' surface; generated plants only.
         leaf_triangle_ids: (L,) int32, the leaf each triangle belongs to.
@@ -94,6 +96,7 @@ class Scene:
     fruit_view_ids: Int16 | None = None
     blocking_points: Float32 | None = None
     blocking_view_ids: Int16 | None = None
+    stood: Array | None = None
     leaf_ids: Int32 | None = None
     leaf_triangles: Float32 | None = None
     leaf_triangle_ids: Int32 | None = None
@@ -119,6 +122,7 @@ class Scene:
             "fruit_view_ids": (np.int16, (len(self.fruit_points),)),
             "blocking_points": (np.float32, (-1, 3)),
             "blocking_view_ids": (np.int16, (n_blocking,)),
+            "stood": (np.float64, (-1, 0 if self.stood is None else np.shape(self.stood)[-1])),
             "leaf_ids": (np.int32, (n_leaf,)),
             "leaf_triangles": (np.float32, (-1, 3, 3)),
             "leaf_triangle_ids": (np.int32, (n_triangles,)),
@@ -401,8 +405,15 @@ class Scene:
         return dataclasses.replace(self, **carried(arrays, T))
 
 
-def merged(parts: Sequence[Scene], frame_id: str) -> Scene:
-    """Put the scenes of several clouds of one frame together; the counts add up, ground truth and targets are left out."""
+def merged(parts: Sequence[Scene], frame_id: str, *, one_picture: bool = False) -> Scene:
+    """Put the scenes of several clouds of one frame together; the counts add up, ground truth and targets are left out.
+
+    Args:
+        parts: the scenes.
+        frame_id: their frame.
+        one_picture: whether parts that were seen from one place are parts of one picture, leaves and stems of one camera say: where one of
+            them shows nothing, the camera may have seen the other.
+    """
     views = [part.viewpoints for part in parts if part.viewpoints is not None]
     ids: dict[str, Any] = {}
     if views:
@@ -415,6 +426,11 @@ def merged(parts: Sequence[Scene], frame_id: str) -> Scene:
         known = [(points, by + np.int16(first)) for points, by, first in hiding if points is not None and by is not None]
         if known:
             ids["blocking_points"], ids["blocking_view_ids"] = (np.concatenate(columns) for columns in zip(*known, strict=True))
+        if one_picture:
+            ids |= _from_one_place(ids)
+    stood = [part.stood for part in parts if part.stood is not None]
+    if stood:
+        ids["stood"] = np.unique(np.concatenate(stood), axis=0)
     counts: dict[str, int] = {}
     for part in parts:
         for name, count in part.counts.items():
@@ -431,3 +447,12 @@ def merged(parts: Sequence[Scene], frame_id: str) -> Scene:
         leaf_displacement_m=max((part.leaf_displacement_m for part in parts), default=0.0),
         **ids,
     )
+
+
+def _from_one_place(columns: Mapping[str, Any]) -> dict[str, Any]:
+    """Give viewpoints that are one place one number."""
+    places = columns["viewpoints"]
+    apart = np.linalg.norm(places[:, None] - places[None], axis=2)
+    first, number = np.unique((apart < _ONE_PLACE_M).argmax(axis=1), return_inverse=True)
+    numbers = np.append(number, -1).astype(np.int16)  # the last one stands for -1
+    return {"viewpoints": places[first]} | {name: numbers[ids] for name, ids in columns.items() if name.endswith("view_ids")}

@@ -142,6 +142,7 @@ class Execution:
         T_base_tool: Array | None = None,
         target: Target | None = None,
         replans_left: int = 0,
+        look: bool = False,
     ) -> Motion | None:
         """Check once more and send.
 
@@ -151,7 +152,7 @@ class Execution:
             trajectory: what to send; its first point is where planning began.
             snapshot: the parameters of the plan.
             commit: the request's point of no return; False when it was answered meanwhile, then nothing is sent.
-            T_base_tool, target, replans_left: see `Motion`.
+            T_base_tool, target, replans_left, look: see `Motion`.
 
         Returns:
             The motion, or None when the request was answered meanwhile.
@@ -182,6 +183,7 @@ class Execution:
                 T_base_tool=T_base_tool,
                 replans_left=replans_left,
                 target=target,
+                look=look,
                 simulated=self._node.simulated_s,
                 simulated_start_s=self._node.simulated_s(),
             )
@@ -226,6 +228,12 @@ class Execution:
             self._stopping = _Stop(motion, status, sentence, now_s, over_s)
         self._node.on_stop(motion)
         return True
+
+    def stop_motion(self, motion: Motion, status: Status, sentence: str) -> None:
+        """Stop one motion if it is the one that runs; see `stop`."""
+        with self._lock:
+            if self._motion is motion:
+                self.stop(status, sentence)
 
     def _on_verdict(self, motion: Motion, verdict: Verdict) -> None:
         """Take in what the controller says of a motion: it took none of it, ended it early, or has carried it out."""

@@ -47,6 +47,12 @@ class ArmAtClouds:
         self._joints = joints
         self._lock = threading.Lock()
         self._noted: dict[str, dict[int, _Noted]] = {}
+        self._used: dict[str, frozenset[int]] = {}
+
+    def remember(self, name: str, numbers: frozenset[int]) -> None:
+        """Say which clouds of an input are still used, besides the newest ones."""
+        with self._lock:
+            self._used[name] = numbers
 
     def arrived(self, name: str, number: int, stamp_s: float, messages: Sequence[Any]) -> None:
         """Take note of a cloud.
@@ -60,8 +66,10 @@ class ArmAtClouds:
         with self._lock:
             notes = self._noted.setdefault(name, {})
             notes[number] = self._look(_Noted(stamp_s, time.monotonic(), tuple(messages), None, False))
-            while len(notes) > _KEPT:
-                del notes[min(notes)]
+            used = self._used.get(name, frozenset())
+            for old in sorted(notes)[:-_KEPT]:
+                if old not in used:
+                    del notes[old]
 
     def look(self) -> None:
         """Look once more for clouds that came before the joint states of their stamps; to be called with every joint state."""

@@ -51,6 +51,10 @@ class Frames(Protocol):
         """Return the frame by which one tells whether `base` moved under data in `source`, see `TransformHistory.anchor`."""
         ...
 
+    def bolted(self, frame: str, thing: str) -> Array | None:
+        """Return T_frame_thing (4, 4) of a thing that never moves against a frame; None where that is not known."""
+        ...
+
     def listen(self, heard: Callable[[], None]) -> None:
         """Have something called after every message with transforms."""
         ...
@@ -95,6 +99,10 @@ class StaticFrames:
     def anchor(self, base: str, source: str) -> str | None:
         """See `Frames.anchor`: what never changes tells of no motion."""
         return None
+
+    def bolted(self, frame: str, thing: str) -> Array | None:
+        """See `Frames.bolted`."""
+        return self._tree.find(frame, thing)
 
     def listen(self, heard: Callable[[], None]) -> None:
         """See `Frames.listen`: there is nothing to hear."""
@@ -149,6 +157,11 @@ class TfFrames:
             self._static.find(base, source)
             return self._history.anchor(base, base)  # fastened to the base by a parameter
         return self._history.anchor(base, source)
+
+    def bolted(self, frame: str, thing: str) -> Array | None:
+        """See `Frames.bolted`."""
+        T_frame_thing = self._static.bolted(frame, thing)
+        return self._history.bolted(frame, thing) if T_frame_thing is None else T_frame_thing
 
     def listen(self, heard: Callable[[], None]) -> None:
         """See `Frames.listen`."""

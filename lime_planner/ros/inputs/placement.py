@@ -48,6 +48,7 @@ class Placements:
         self._fixed_frame = clean_name(fixed_frame)
         self._lock = threading.Lock()
         self._noted: dict[str, dict[int, _Note]] = {}
+        self._used: dict[str, frozenset[int]] = {}
         self._pending = False
         frames.listen(self.look)
 
@@ -58,6 +59,17 @@ class Placements:
             self._noted = {name: {k: _Note(note.header) for k, note in notes.items()} for name, notes in self._noted.items()}
             self._pending = True
         self.look()
+
+    def remember(self, name: str, numbers: frozenset[int]) -> None:
+        """Say which messages of an input are still used, besides the newest ones."""
+        with self._lock:
+            self._used[name] = numbers
+
+    def noted(self, name: str, number: int) -> Array | None:
+        """Return T_planning_data (4, 4) of a message at its stamp, as far as that is known by now."""
+        with self._lock:
+            note = self._noted.get(name, {}).get(number)
+        return None if note is None or note.seen is None else note.seen.T_planning_data
 
     def arrived(self, name: str, number: int, header: Any) -> None:
         """Take note of a message.
@@ -70,8 +82,10 @@ class Placements:
         with self._lock:
             notes = self._noted.setdefault(name, {})
             notes[number] = _Note(header)
-            while len(notes) > _KEPT:
-                del notes[min(notes)]
+            used = self._used.get(name, frozenset())
+            for old in sorted(notes)[:-_KEPT]:
+                if old not in used:
+                    del notes[old]
             self._pending = True
         self.look()
 

@@ -136,6 +136,7 @@ class MockArmNode(Node):
         self.add_on_set_parameters_callback(self._check_faults)
         self.add_post_set_parameters_callback(self._take_faults)
         self._publisher = self.create_publisher(JointState, "joint_states", _STATES)
+        self._truth = self.create_publisher(JointState, "~/true_joint_states", _STATES)
         self.create_subscription(JointTrajectory, "joint_trajectory", self._take_command, COMMAND)
         rate_hz = self._table["rate_hz"] or _RATES_HZ[controller]
         self._last_s = time.monotonic()
@@ -190,6 +191,10 @@ class MockArmNode(Node):
 
     def _publish(self) -> None:
         self._advance()
+        truth = JointState()
+        truth.header.stamp = self.get_clock().now().to_msg()
+        truth.name, truth.position = list(self._sim.joint_names), array.array("d", np.asarray(self._sim.configuration, float).tobytes())
+        self._truth.publish(truth)
         reading = self._sim.state()
         if reading is None:
             return

@@ -37,6 +37,7 @@ from lime_planner.ros.execution.execution import Execution
 from lime_planner.ros.execution.motion import Ended, Motion
 from lime_planner.ros.execution.output import Output
 from lime_planner.ros.execution.stem_watch import StemWatch, make_look
+from lime_planner.ros.inputs.arm_camera import ArmCamera
 from lime_planner.ros.inputs.frames import make_frames
 from lime_planner.ros.inputs.latest import TARGETS, Inputs
 from lime_planner.ros.inputs.scene_source import SceneSource
@@ -81,6 +82,7 @@ class PlannerNode(Node):
         self.frames = make_frames(self, settings.node.static_transforms)
         self.get_logger().info(f"frames from {self.frames.source}")
         self.source = SceneSource(self.inputs, self.frames, "", unfiltered, fixed_frame=settings.node.fixed_frame)  # of no arm yet
+        self.source.memory_s = settings.node.view_memory_s
         self.output = Output(self, settings.node.trajectory_action)
         self.output.use(settings.node.controller)
         self._open_outputs()
@@ -177,6 +179,11 @@ class PlannerNode(Node):
         """Tell how a motion ended, and plan again where that is asked for."""
         motion = ended.motion
         message = ended.status.message(ended.sentence)
+        if motion.look:
+            self.get_logger().info(f"look of request {motion.plan_id}: {message}")
+            if not self.requests.look_ended(ended):
+                self.board.show(motion.plan_id, Phase.DONE)
+            return
         self.board.show(motion.plan_id, Phase.DONE, execution_code=ended.status.name, execution_message=message)
         self.get_logger().info(f"motion of plan {motion.plan_id}: {message}")
         self.request_services.ended(ended)
@@ -193,6 +200,7 @@ class PlannerNode(Node):
             self.worker.submit("replan", replan, self.request_services.finish, RequestContext(motion.target, motion.replans_left - 1))
 
     def _on_parameters(self, snapshot: Snapshot) -> None:
+        self.source.memory_s = snapshot.node.view_memory_s
         self.output.use(snapshot.node.controller)
         if not snapshot.node.motion_enabled:  # that holds for the motion that runs, too
             self.execution.stop(Status.CANCELLED, "motion_enabled was set to false")
@@ -202,7 +210,9 @@ class PlannerNode(Node):
         self.board.robot = robot.name
         self.inputs.set_joints(tuple(robot.joint_names), robot.held_joints, robot.continuous)
         self.execution.way_out.clear()
-        self.source.use_arm(robot.planning_frame, make_arm_filter(robot))
+        frame = self.params.snapshot.node.camera_frame
+        camera = ArmCamera(robot, frame, self.frames) if frame else None
+        self.source.use_arm(robot.planning_frame, make_arm_filter(robot), camera)
 
     def _on_cloud(self, name: str, msg: PointCloud2) -> None:
         self.inputs.on_cloud(name, msg)

@@ -1,4 +1,4 @@
-"""Publishes a scene from a file or from the plant generator, in place of cameras: clouds, and a fruit or a grasp as the target."""
+"""Publishes a scene from a file or from the plant generator: clouds, whole or as depth cameras see them, and a target."""
 
 from __future__ import annotations
 
@@ -24,6 +24,8 @@ from lime_planner.pipeline.scene_targets import own_target
 from lime_planner.ros import qos
 from lime_planner.ros.convert import to_pose
 from lime_planner.ros.inputs.clouds import encode_cloud
+from lime_planner.ros.nodes import scene_cameras
+from lime_planner.ros.nodes.scene_cameras import DEFAULT_RATE_HZ, SceneCameras
 from lime_planner.ros.programs import answered
 from lime_planner.ros.runtime import run_node
 from lime_planner.scene.plants.generator import DENSITIES, PlantOptions, generate_plant
@@ -41,9 +43,16 @@ _PARAMETERS: tuple[tuple[str, Any, str], ...] = (
     ("target", [], "Grasp pose x y z qx qy qz qw; empty: the scene's own, or a drawn one."),
     ("approach", "free", "What the target is where the scene knows its fruit: `free` (fruit_target), `fixed` (grasp_target)."),
     ("labelled", False, "Publish `labelled_cloud` instead of `leaf_cloud` and `stem_cloud`."),
-    ("rate_hz", 0.0, "Publish the clouds again this often with a new stamp; 0: once, for everyone who comes."),
+    (
+        "rate_hz",
+        0.0,
+        f"Publish the clouds again this often with a new stamp; 0: once, for all who come; each camera {DEFAULT_RATE_HZ:g} Hz.",
+    ),
     ("reliable", True, "Publish the clouds reliably and latched; false: best effort, as many camera drivers do."),
+    *scene_cameras.PARAMETERS,
 )
+#: Set at start only: topics, profiles and frames depend on them.
+_AT_START = frozenset(("labelled", "reliable", *(name for name, _, _ in scene_cameras.PARAMETERS)))
 _TARGET_FRUIT_RADIUS_M = 0.06
 
 
@@ -110,6 +119,8 @@ def unused(given: Iterable[str], values: Mapping[str, Any]) -> list[str]:
             sentences.append(f"there is no parameter {name!r}, its value is ignored; {hint}")
         elif name == "density" and values["file"]:
             sentences.append("density is not used: the scene comes from a file")
+        elif not values.get("camera") and name in {other for other, _, _ in scene_cameras.PARAMETERS[1:]}:
+            sentences.append(f"{name} is not used: it is about cameras, and camera is empty")
         elif name == "label_field" and not str(values["file"]).lower().endswith((".ply", ".pcd")):
             sentences.append("label_field is not used: it names a field of PLY and PCD files")
     return sentences
@@ -129,7 +140,10 @@ class SceneNode(Node):
             self.declare_parameter(name, default, ParameterDescriptor(description=description, dynamic_typing=True))
         for sentence in unused(self._parameter_overrides, self._values()):
             self.get_logger().warning(sentence)
-        self._published = make_scene(self._values())
+        values = self._values()
+        self._published = make_scene(values)
+        scene_cameras.check(values)
+        self._cameras = SceneCameras(self, values) if values["camera"] else None
         for note in self._published.scene.notes:
             self.get_logger().warning(note)
         reliable = bool(self.get_parameter("reliable").value)
@@ -154,8 +168,9 @@ class SceneNode(Node):
 
     def _check(self, changed: Sequence[Parameter]) -> SetParametersResult:
         names = {parameter.name for parameter in changed}
-        if names & {"labelled", "reliable"}:
-            return SetParametersResult(successful=False, reason="labelled and reliable can be set at start only")
+        if names & _AT_START:
+            reason = f"{', '.join(sorted(names & _AT_START))} can be set at start only"
+            return SetParametersResult(successful=False, reason=reason)
         if not names & {name for name, _, _ in _PARAMETERS}:
             return SetParametersResult(successful=True)
         try:
@@ -175,6 +190,8 @@ class SceneNode(Node):
             self.destroy_timer(self._timer)
             self._timer = None
         rate_hz = float(self.get_parameter("rate_hz").value)
+        if self._cameras is not None:
+            rate_hz = (rate_hz or DEFAULT_RATE_HZ) * len(self._cameras.cameras(self._published.scene))
         if rate_hz > 0.0:
             self._timer = self.create_timer(1.0 / rate_hz, self._publish_clouds)
 
@@ -193,11 +210,20 @@ class SceneNode(Node):
         place, what = (target, "target") if fruit is None else (fruit, "target fruit")
         where = "no target" if place is None else f"{what} at {place[0]:.3f} {place[1]:.3f} {place[2]:.3f}"
         leaves, stems, limes = len(scene.leaf_points), len(scene.stem_points), len(scene.fruit_points)
+        if self._cameras is not None:
+            for line in self._cameras.introduce(scene):
+                self.get_logger().info(f"a camera, as static_transforms takes it: {line}")
         self.get_logger().info(f"publishing {leaves} leaf, {stems} stem and {limes} fruit points in {scene.frame_id}, {where}")
 
     def _publish_clouds(self) -> None:
+        scene, target = self._published.scene, self._published.target
+        if self._cameras is not None:
+            spared = None if target is None or self._published.fruit is not None else target[:3]
+            labelled = "labelled_cloud" in self._clouds
+            for name, msg in self._cameras.take_picture(scene, labelled=labelled, spared=spared, spared_m=_TARGET_FRUIT_RADIUS_M):
+                self._clouds[name].publish(msg)
+            return
         stamp = self.get_clock().now().to_msg()
-        scene = self._published.scene
         for name, publisher in self._clouds.items():
             msg = self._cloud(name)
             msg.header.frame_id, msg.header.stamp = scene.frame_id, stamp

@@ -4,33 +4,25 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-import itertools
-import time
 from collections.abc import Callable
 from typing import TypeVar
 
-import numpy as np
 from geometry_msgs.msg import PoseStamped
 
-from lime_planner.core.errors import LimePlannerError, Refusal
-from lime_planner.core.geometry import matrix_to_pose
+from lime_planner.core.errors import Refusal
 from lime_planner.core.status import Status
-from lime_planner.pipeline.plan_record import PlanRecord
 from lime_planner.pipeline.result import PlanResult
-from lime_planner.pipeline.targets import Target as Aim
-from lime_planner.pipeline.targets import pose_target
 from lime_planner.ros.convert import TargetMessage, read_target
 from lime_planner.ros.execution.motion import moves, on_turns_of
 from lime_planner.ros.execution.retreat import Path, nearest_turns, straight_back, way_back
-from lime_planner.ros.inputs.joint_states import ArmState
 from lime_planner.ros.inputs.latest import Target
 from lime_planner.ros.model_loader import Loaded
 from lime_planner.ros.parameters import Snapshot
-from lime_planner.ros.requests.parts import NodeParts, PlannedRequest
-from lime_planner.ros.requests.request_text import target_values
+from lime_planner.ros.requests.looking import Looked, LookSteps
+from lime_planner.ros.requests.parts import PlannedRequest
 from lime_planner.ros.requests.status_board import Phase
-from lime_planner.ros.requests.worker import Answer, Left, RequestContext, Ticket, deadline
-from lime_planner.scene.scene import Scene
+from lime_planner.ros.requests.steps import figures_of
+from lime_planner.ros.requests.worker import Answer, RequestContext, Ticket, deadline
 
 Outcome = TypeVar("Outcome")
 
@@ -38,25 +30,12 @@ Outcome = TypeVar("Outcome")
 _SENDING_ATTEMPTS = 2
 
 
-class Requests:
+class Requests(LookSteps):
     """The services' jobs. Every method takes the ticket and returns its answer; a `Refusal` it raises is an answer too.
 
     Attributes:
         previewed: the plan that `~/execute` would send, and the model that it was made with.
     """
-
-    def __init__(self, parts: NodeParts) -> None:
-        """Serve with these parts."""
-        self._loader = parts.loader
-        self._parameters = parts.parameters
-        self._inputs = parts.inputs
-        self._source = parts.source
-        self._execution = parts.execution
-        self._watch = parts.watch
-        self._board = parts.board
-        self._display = parts.display
-        self._numbers = itertools.count(1)
-        self.previewed: tuple[Loaded, PlannedRequest] | None = None
 
     def aim(self, kind: str, goal: PoseStamped | None = None) -> RequestContext:
         """Tell what a request will be about, as far as is known when it is made: it may be answered before its job begins.
@@ -85,9 +64,11 @@ class Requests:
         self._target(ticket, snapshot)  # a missing or bad target is answered before anything is waited for or stopped
         with self._ready(ticket, snapshot) as loaded:
             self._come_to_rest(ticket, snapshot)
+            looks: list[Looked | None] = []
             with deadline(ticket, snapshot.node.deadline_s) as left_s:
                 for attempt in range(1, _SENDING_ATTEMPTS + 1):
-                    planned = self._planned(ticket, loaded, snapshot, self._target(ticket, snapshot), left_s)
+                    planned = self._planned(ticket, loaded, snapshot, self._target(ticket, snapshot), left_s, looks=len(looks))
+                    planned = self._look_until_enough(ticket, loaded, snapshot, planned, left_s, looks)
                     if planned.record.result.status is not Status.SUCCEEDED:
                         return _answer_of(planned.record.result)
                     try:
@@ -97,6 +78,36 @@ class Requests:
                             raise
                     self._come_to_rest(ticket, snapshot)
         raise AssertionError("unreachable")
+
+    def look(self, ticket: Ticket) -> Answer:
+        """Move the arm's camera to where it shows most of what is unseen on the best way to the newest target."""
+        snapshot = self._begin(ticket)
+        self._target(ticket, snapshot)
+        if not snapshot.node.camera_frame:
+            self._check_camera(snapshot)
+        if not (snapshot.node.motion_enabled and self._parameters.snapshot.node.motion_enabled):
+            raise Refusal(Status.MOTION_DISABLED, "a look moves the arm, and motion_enabled is false")
+        with self._ready(ticket, snapshot) as loaded:
+            T_tool_camera = self._check_camera(snapshot)
+            self._come_to_rest(ticket, snapshot)
+            with deadline(ticket, snapshot.node.deadline_s) as left_s:
+                planned = self._planned(ticket, loaded, snapshot, self._target(ticket, snapshot), left_s)
+                if not planned.record.result.views:
+                    raise Refusal(Status.NO_CLOUD, "it is not known where any cloud was seen from, so that everything counts as seen")
+                if not self._worth_a_look(planned, 0.0):
+                    result = planned.record.result
+                    if not result.succeeded:
+                        return _answer_of(result)
+                    return Answer(
+                        Status.SUCCEEDED,
+                        f"nothing unseen lies on the best way to the target, seen from {result.views} views; the arm stays",
+                    )
+                looked = self._look(ticket, loaded, snapshot, planned, T_tool_camera)
+                if looked is None:
+                    sentence = "no view that shows enough of what is unseen on the way can be reached through seen space"
+                    raise Refusal(Status.NO_PATH, sentence)
+                self._board.note(ticket.plan_id, looks=1, **looked.figures())
+        return Answer(Status.SUCCEEDED, looked.sentence)
 
     def preview(self, ticket: Ticket) -> Answer:
         """Plan to the newest target and show it."""
@@ -125,7 +136,7 @@ class Requests:
                 self._note_target(ticket, planned.target)
             if model is not loaded:
                 raise Refusal(Status.NOTHING_TO_EXECUTE, "the robot model has changed since the preview")
-            self._board.note(ticket.plan_id, **_figures(result))
+            self._board.note(ticket.plan_id, **figures_of(result))
             self._come_to_rest(ticket, snapshot)
             with deadline(ticket, snapshot.node.deadline_s):
                 arm = self._arm_at_start(snapshot)
@@ -133,7 +144,7 @@ class Requests:
                 if turned is not result:
                     result = turned
                     planned = dataclasses.replace(planned, record=dataclasses.replace(planned.record, result=result))
-                    self._board.note(ticket.plan_id, **_figures(result))
+                    self._board.note(ticket.plan_id, **figures_of(result))
                 number = self._source.newest_stem_number()
                 scene = self._source.scene(snapshot, ticket.should_stop)
                 status, sentence = loaded.pipeline.recheck(result, scene, arm.q, snapshot.plan, should_stop=ticket.should_stop)
@@ -171,21 +182,6 @@ class Requests:
                     return _answer_of(result)
                 return self._send(ticket, loaded, planned, retreat=True)
 
-    def _begin(self, ticket: Ticket) -> Snapshot:
-        self._board.show(ticket.plan_id, Phase.PLANNING, kind=ticket.kind)
-        if ticket.kind != "execute":
-            self.previewed = None  # what ~/execute sends is what was asked for last, or nothing
-        return self._parameters.snapshot
-
-    def _ready(self, ticket: Ticket, snapshot: Snapshot) -> contextlib.AbstractContextManager[Loaded]:
-        """Refuse at once what cannot succeed, then wait for the kernels; returns the context that holds the model."""
-        timeout_s = snapshot.node.warm_up_timeout_s
-        self._loader.wait_loaded(timeout_s, ticket.should_stop)
-        if not self._loader.ready:
-            self._arm(snapshot)
-            self._source.scene(snapshot, ticket.should_stop)
-        return self._loader.use(timeout_s, ticket.should_stop)
-
     def _preview(self, ticket: Ticket, snapshot: Snapshot, target: Callable[[], Target]) -> Answer:
         target()
         with self._ready(ticket, snapshot) as loaded:
@@ -195,104 +191,6 @@ class Requests:
             if planned.record.result.status is Status.SUCCEEDED and ticket.commit():
                 self.previewed = (loaded, planned)
             return _answer_of(planned.record.result)
-
-    def _target(self, ticket: Ticket, snapshot: Snapshot) -> Target:
-        target = self._inputs.target(snapshot.node.max_target_age_s, snapshot.node.max_clock_skew_s)
-        self._note_target(ticket, target)
-        return target
-
-    def _note_target(self, ticket: Ticket, target: Target) -> None:
-        ticket.context = dataclasses.replace(ticket.context, target=target)
-        self._board.note(ticket.plan_id, **target_values(target))
-
-    def _arm(self, snapshot: Snapshot) -> ArmState:
-        return self._inputs.joints.fresh(snapshot.node.max_joint_state_age_s, snapshot.node.max_clock_skew_s)
-
-    def _arm_at_start(self, snapshot: Snapshot) -> ArmState:
-        """Return the state that a plan begins at, on the turns that the driver reports now."""
-        if not self._execution.active:
-            self._inputs.joints.take_reported_turns()
-        return self._arm(snapshot)
-
-    def _come_to_rest(self, ticket: Ticket, snapshot: Snapshot) -> None:
-        """Stop what runs and wait until the arm is seen to rest."""
-        node = snapshot.node
-        self._arm(snapshot)
-        if self._execution.active:
-            self._source.scene(snapshot, ticket.should_stop)  # a request that cannot be served does not stop a good motion
-            if ticket.answered:  # nor does one that is not waited for any more
-                raise Refusal(Status.CANCELLED, "the request was answered before it began")
-            self._execution.stop(Status.PREEMPTED, f"request {ticket.plan_id} ({ticket.kind}) took over")
-        elif self._inputs.joints.still(node.stillness_time_s, node.stillness_rad):
-            return
-        self._show_phase(ticket, Phase.STOPPING)
-        deadline = time.monotonic() + node.stillness_timeout_s + node.stillness_time_s
-        while self._execution.active and time.monotonic() < deadline and not ticket.answered:
-            time.sleep(0.005)
-        remaining = max(deadline - time.monotonic(), 0.0)
-        if not self._inputs.joints.wait_still(node.stillness_time_s, node.stillness_rad, remaining, ticket.should_stop):
-            self._arm(snapshot)  # silence has its own code
-            raise Refusal(Status.ARM_MOVING, f"the arm did not come to rest within {node.stillness_timeout_s:g} s")
-        self._show_phase(ticket, Phase.PLANNING)
-
-    def _show_phase(self, ticket: Ticket, phase: Phase) -> None:
-        if not ticket.answered:  # its last phase has been shown
-            self._board.show(ticket.plan_id, phase)
-
-    def _planned(self, ticket: Ticket, loaded: Loaded, snapshot: Snapshot, target: Target, left_s: Left) -> PlannedRequest:
-        began_s = time.monotonic()
-        arm = self._arm_at_start(snapshot)
-        aim = self._aim(self._source.goal(target, snapshot, ticket.should_stop), snapshot)
-        number = self._source.newest_stem_number()
-        scene = self._source.scene(snapshot, ticket.should_stop)
-        decode_s = time.monotonic() - began_s
-        seed = snapshot.plan.seed or int(np.random.default_rng().integers(1, 2**31 - 1))
-        result = self._guarded(
-            lambda: loaded.pipeline.plan(scene, aim, arm.q, snapshot.plan, should_stop=ticket.should_stop, deadline_s=left_s(), seed=seed)
-        )
-        planned = self._record(scene, target, result, snapshot, number)
-        self._present(ticket, planned, inputs_s=decode_s, request_s=time.monotonic() - began_s)
-        return planned
-
-    @staticmethod
-    def _aim(aim: Aim, snapshot: Snapshot) -> Aim:
-        """What a target asks for; the parameters say what a pose leaves open."""
-        return pose_target(aim.poses[0], snapshot.plan.grasp_freedom) if aim.kind == "pose" else aim
-
-    def _record(self, scene: Scene, target: Target | None, result: PlanResult, snapshot: Snapshot, stem_number: int) -> PlannedRequest:
-        pose = None if result.T_base_tool is None else matrix_to_pose(result.T_base_tool)
-        record = PlanRecord(next(self._numbers), scene, snapshot.plan, pose, result)
-        return PlannedRequest(record, target, snapshot, stem_number)
-
-    def _guarded(self, call: Callable[[], Outcome]) -> Outcome:
-        """Turn the pipeline's exceptions about its arguments into an answer: they came in as messages."""
-        try:
-            return call()
-        except LimePlannerError as error:
-            raise Refusal(Status.BAD_INPUT, str(error)) from None
-
-    def _present(self, ticket: Ticket, planned: PlannedRequest, **figures: float) -> None:
-        if not ticket.answered:
-            self._board.note(ticket.plan_id, **_figures(planned.record.result), **figures)
-            self._display.show(planned)
-
-    def _look_again(self, ticket: Ticket, loaded: Loaded, planned: PlannedRequest) -> int:
-        """Check what may have changed while the plan was made: the target, the clouds' ages, and stems that were not there before.
-
-        Returns:
-            Which stem clouds the motion was checked against.
-        """
-        result, snapshot = planned.record.result, planned.snapshot
-        # Who looks at a preview takes his time: it is as old then as it may be.
-        max_age_s = 0.0 if ticket.kind == "execute" else snapshot.node.max_target_age_s
-        self._inputs.check_target(planned.target, max_age_s, snapshot.node.max_clock_skew_s)
-        number = self._source.newest_stem_number()
-        stems = self._source.changed_stems(planned.stem_number, snapshot, ticket.should_stop)
-        if stems is not None:
-            sentence = self._guarded(lambda: loaded.pipeline.obstruction(result, stems, snapshot.plan, should_stop=ticket.should_stop))
-            if sentence is not None:
-                raise Refusal(Status.STEM_APPEARED, f"in a stem cloud that came while planning, {sentence}; nothing was sent")
-        return number
 
     def _send(self, ticket: Ticket, loaded: Loaded, planned: PlannedRequest, *, retreat: bool = False) -> Answer:
         result, snapshot = planned.record.result, planned.snapshot
@@ -342,11 +240,3 @@ def _bare(status: Status, message: str) -> str:
 
 def _answer_of(result: PlanResult) -> Answer:
     return Answer(result.status, _bare(result.status, result.message), result.tool_path)
-
-
-def _figures(result: PlanResult) -> dict[str, object]:
-    """Return the figures of `--json`, without those that the status carries itself."""
-    figures = dict(result.figures())
-    for name in ("status", "message"):
-        figures.pop(name, None)
-    return figures

@@ -29,7 +29,7 @@ _LEAVING_S = 0.03
 
 
 class Services:
-    """`~/plan`, `~/plan_and_wait`, `~/preview`, `~/preview_to`, `~/execute`, `~/retreat` and `~/stop`."""
+    """`~/plan`, `~/plan_and_wait`, `~/look`, `~/preview`, `~/preview_to`, `~/execute`, `~/retreat` and `~/stop`."""
 
     def __init__(self, parts: NodeParts, requests: Requests, log: Callable[[Severity, str], None]) -> None:
         """Open the services.
@@ -51,7 +51,7 @@ class Services:
         self._ends: dict[int, Future] = {}  # of motions that a caller waits for, by their request
         # Reentrant: an unanswered request must not hold back the next one.
         options = {"qos_profile": qos.SERVICE, "callback_group": ReentrantCallbackGroup()}
-        for name in ("plan", "preview", "execute", "retreat"):
+        for name in ("plan", "look", "preview", "execute", "retreat"):
             node.create_service(Trigger, f"~/{name}", partial(self._trigger, name, getattr(requests, name)), **options)
         node.create_service(Trigger, "~/plan_and_wait", self._plan_and_wait, **options)
         node.create_service(GetPlan, "~/preview_to", self._preview_to, **options)

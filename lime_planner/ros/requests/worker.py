@@ -86,6 +86,16 @@ class Ticket:
         """Whether the answer is given; the `should_stop` of the job."""
         return self._answer is not None
 
+    @property
+    def given(self) -> Answer | None:
+        """The answer, as soon as there is one."""
+        return self._answer
+
+    def is_open(self) -> bool:
+        """Tell whether the request still has no answer: then a motion may be sent on its way to the one that it is about."""
+        with self._lock:
+            return self._answer is None
+
     def should_stop(self) -> bool:
         """Tell the job that its answer is not waited for any more."""
         return self._answer is not None
