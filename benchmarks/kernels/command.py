@@ -32,14 +32,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def measure_all(scans: Path | None, *, targets: int, seeds: int, repeats: int) -> dict[str, Any]:
     """Time everything; JSON-ready, kernels under `kernels` in the order of the table."""
-    from benchmarks.kernels import cases
+    from benchmarks.kernels import cases, view_cases
     from benchmarks.problem_sets import choose_problems, plant_specs, scan_specs
     from benchmarks.timing import machine, reference_loop
     from lime_planner import __version__
 
     before = reference_loop()
     bench = cases.Bench(repeats)
-    timings: list[Timing] = [*bench.checks(), bench.edges(), *bench.fields()]
+    timings: list[Timing] = [*bench.checks(), bench.edges(), *bench.fields(), *view_cases.maps(repeats), view_cases.look(repeats)]
     scenes = scan_specs(scans) if scans is not None else plant_specs(["medium:1", "dense:2"])
     problems = choose_problems(scenes, targets)[0]
     timings += [cases.paper_mode(problems, seeds), cases.first_path(problems, seeds, "cpu")]

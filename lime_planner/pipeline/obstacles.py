@@ -16,7 +16,7 @@ from lime_planner.collision.world import World, empty_world, unseen_world
 from lime_planner.core.parameters import Settings
 from lime_planner.core.types import Array, Float32
 from lime_planner.pipeline.context import ask, never
-from lime_planner.pipeline.spots import Spot, exclusion, hard_points, spared
+from lime_planner.pipeline.spots import Spot, ball, exclusion, hard_points, spared
 from lime_planner.planning.prices import BINARY, GRADED, price_of_points
 from lime_planner.robot.model import Robot
 from lime_planner.scene.scene import Scene
@@ -98,18 +98,18 @@ class Obstacles:
         return dataclasses.replace(self, world=self.world._replace(margin=margin_m))
 
     def with_nothing_let_go(self, settings: Settings) -> Obstacles:
-        """The same for a motion that is not to the target: nothing is let go for the hand, and a keep-out box stands where its fruit is.
+        """The same for a motion that is not to the target: nothing is let go for the hand, and its fruit is hard, for the search a box.
 
         Args:
             settings: of that motion; their obstacles must be those of these.
         """
-        boxes = settings.keep_out_boxes
+        hard, boxes = self.hard, self.world.boxes
         if self.spot is not None and self.spot.fruit_radius_m is None and settings.fruit_radius_m > 0.0:  # the fruit itself is let go
-            centre = np.array(self.spot.centre)
-            boxes = (*boxes, *(centre - settings.fruit_radius_m).tolist(), *(centre + settings.fruit_radius_m).tolist())
-        rows = np.array(boxes, dtype=np.float64).reshape(-1, 2, 3)
-        world = self.world._replace(exclusion=np.zeros(6), boxes=rows)
-        return dataclasses.replace(self, world=world, settings=dataclasses.replace(settings, keep_out_boxes=boxes), spot=None)
+            centre, radius_m = np.array(self.spot.centre), settings.fruit_radius_m
+            hard = np.concatenate([hard, ball(centre, radius_m)])
+            boxes = np.concatenate([boxes, [[centre - radius_m, centre + radius_m]]])
+        world = self.world._replace(exclusion=np.zeros(6), boxes=boxes)
+        return dataclasses.replace(self, hard=hard, world=world, settings=settings, spot=None)
 
     def exact_checker(self, should_stop: Callable[[], bool] = never) -> ExactChecker:
         """An exact checker of the same obstacles; may raise `Refusal` with CANCELLED."""

@@ -137,7 +137,7 @@ def test_rays_come_through_what_is_free_and_less_often_through_what_is_not_seen(
 
 
 def test_the_target_fruit_is_hard_on_a_look() -> None:
-    """What an exact pose lets go for the hand stands in a look's way: its stalk, and its fruit as a box."""
+    """What an exact pose lets go for the hand stands in a look's way: its stalk, and its fruit."""
     target = pose_target(plant(5).target_pose)
     bare = pipeline_of().obstacles(partial(), target.spot(partial(), USED), USED)
     own = bare.with_nothing_let_go(USED)
@@ -148,7 +148,7 @@ def test_the_target_fruit_is_hard_on_a_look() -> None:
     for q in ik.solutions[:5]:
         hit = own.exact_checker().stem_hit(q)
         assert hit is not None and one(own.space(np.full(6, -50.0), np.full(6, 50.0)), q) < 0.0
-    assert len(ik.solutions) and "keep_out" in {hit.what for q in ik.solutions if (hit := own.exact_checker().stem_hit(q)) is not None}
+    assert len(ik.solutions)
 
 
 @pytest.mark.alone
