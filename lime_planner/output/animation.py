@@ -13,7 +13,7 @@ import numpy.typing as npt
 from lime_planner.core.atomic_files import replacing
 from lime_planner.core.errors import ParameterError
 from lime_planner.core.types import Array, Bool, Float32, Int64, UInt8
-from lime_planner.output.picture import ARM, FREE_PATH, LEAFY_PATH, LIME, STEM, arm_mesh, in_sight, leaf_layer
+from lime_planner.output.picture import ARM, FREE_PATH, LEAFY_PATH, LIME, STEM, arm_mesh, fruit_layer, in_sight, leaf_layer
 from lime_planner.output.render import Layer, View, cloud_layer, compose, halved, mesh_layer
 from lime_planner.output.timeline import Timeline, timeline_of
 from lime_planner.pipeline import Pipeline
@@ -95,7 +95,7 @@ class _Stage:
         self._plant = [
             leaf_layer(self._view, seen["leaf"], shown.scene),
             cloud_layer(self._view, seen["stem"], STEM, (0.0022, 0.0045)),
-            cloud_layer(self._view, seen["fruit"], LIME, (0.0016, 0.0045)),
+            fruit_layer(self._view, seen["fruit"], self._scene),
         ]
         self._touched: dict[bytes, Layer] = {}
 

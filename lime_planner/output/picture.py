@@ -30,7 +30,7 @@ SUFFIXES = (".png", ".svg", ".pdf")
 # Okabe and Ito's palette and neighbours of it: told apart with every kind of colour vision, and in grey by their lightness.
 LEAF = (0.16, 0.62, 0.44)
 STEM = (0.45, 0.27, 0.12)
-LIME = (0.95, 0.88, 0.25)
+LIME = (0.76, 0.85, 0.18)
 ARM = (0.62, 0.63, 0.66)
 FREE_PATH = (0.00, 0.45, 0.70)
 LEAFY_PATH = (0.84, 0.37, 0.00)
@@ -204,7 +204,7 @@ def _render(view: View, shown: dict[str, Float32], scene: Scene, arms: list[tupl
     plant = [
         leaf_layer(fine, shown["leaf"], scene),
         cloud_layer(fine, shown["stem"], STEM, (0.0018, 0.0045)),
-        cloud_layer(fine, shown["fruit"], LIME, (0.0012, 0.0045)),
+        fruit_layer(fine, shown["fruit"], scene),
     ]
     meshes = [mesh_layer(fine, vertices, triangles, ARM) for vertices, triangles in arms]
     opacities = [_START_OPACITY, 1.0] if len(arms) > 1 else [1.0]
@@ -220,6 +220,29 @@ def leaf_layer(view: View, points: Float32, scene: Scene) -> Layer:
     colours = np.clip(np.asarray(LEAF) * tone[:, None], 0.0, 1.0)
     corners = scene.leaf_triangles.reshape(-1, 3)
     return mesh_layer(view, corners, np.arange(len(corners)).reshape(-1, 3), colours)
+
+
+def fruit_layer(view: View, points: Float32, scene: Scene) -> Layer:
+    """Draw limes as the balls that they are, with the dimple of their far end, where the scene knows them; else their points."""
+    if scene.fruit_centres is None or scene.fruit_radii is None or not len(scene.fruit_centres):
+        return cloud_layer(view, points, LIME, (0.0012, 0.0045))
+    ball, faces = _lime()
+    vertices = scene.fruit_centres[:, None] + scene.fruit_radii[:, None, None] * ball
+    triangles = faces + len(ball) * np.arange(len(vertices))[:, None, None]
+    return mesh_layer(view, vertices.reshape(-1, 3).astype(np.float64), triangles.reshape(-1, 3), LIME)
+
+
+def _lime(rings: int = 12, segments: int = 20) -> tuple[Array, Int64]:
+    """Return a lime of radius 1: vertices (V, 3), triangles (T, 3); a ball that is drawn out a little at its lower end."""
+    polar = np.linspace(0.0, np.pi, rings + 1)
+    around = np.linspace(0.0, 2.0 * np.pi, segments, endpoint=False)
+    height = np.cos(polar) - 0.14 * np.exp(-(((polar - np.pi) / 0.28) ** 2))
+    x, y = np.sin(polar)[:, None] * np.cos(around), np.sin(polar)[:, None] * np.sin(around)
+    vertices = np.stack([x, y, np.broadcast_to(height[:, None], x.shape)], axis=-1).reshape(-1, 3)
+    ring, segment = np.meshgrid(np.arange(rings), np.arange(segments), indexing="ij")
+    here, beside = ring * segments + segment, ring * segments + (segment + 1) % segments
+    below, across = here + segments, beside + segments
+    return vertices, np.concatenate([np.stack([here, below, beside], -1), np.stack([beside, below, across], -1)]).reshape(-1, 3)
 
 
 def _path_colours(contact: Array) -> tuple[Any, Any]:
@@ -243,7 +266,7 @@ def _draw_path(axes: Axes, view: View, line: Array, contact: Array) -> None:
     coloured = LineCollection(list(pieces), cmap=shades, norm=norm, linewidth=2.6, capstyle="round", zorder=5)
     coloured.set_array(np.maximum(contact[:-1], contact[1:]))
     axes.add_collection(coloured)
-    axes.plot(*flat[0], marker="o", markersize=7, markerfacecolor="white", markeredgecolor="black", markeredgewidth=1.3, zorder=6)
+    axes.plot(*flat[0], marker="o", markersize=6, markerfacecolor="white", markeredgecolor="black", markeredgewidth=1.3, zorder=3.5)
 
 
 def _draw_unseen(axes: Axes, view: View, places: Float32) -> None:
@@ -264,15 +287,14 @@ def _draw_unseen(axes: Axes, view: View, places: Float32) -> None:
 
 
 def _draw_target(axes: Axes, view: View, target: Array) -> None:
-    """Mark the target; a line shows the direction from which the palm comes."""
+    """Ring the target, beneath the path, whose end it must not hide; a line shows from where the palm comes."""
     from lime_planner.core.geometry import pose_to_matrix
 
     approach = pose_to_matrix(target)[:3, 2]
     (x, y, _), (x0, y0, _) = view.project(np.stack([target[:3], target[:3] - 0.09 * approach]))
-    for colour, width in (("white", 3.4), (TARGET, 1.8)):
-        axes.plot([x0, x], [y0, y], color=colour, linewidth=width, linestyle="-", zorder=7)
-        axes.plot(x, y, marker="o", markersize=11, markerfacecolor="none", markeredgecolor=colour, markeredgewidth=width, zorder=7)
-        axes.plot(x, y, marker="+", markersize=8, markeredgecolor=colour, markeredgewidth=width, zorder=7)
+    for colour, width, order in (("white", 3.4, 2.4), (TARGET, 1.8, 2.5)):
+        axes.plot([x0, x], [y0, y], color=colour, linewidth=width, linestyle="-", zorder=order)
+        axes.plot(x, y, marker="o", markersize=17, markerfacecolor="none", markeredgecolor=colour, markeredgewidth=width, zorder=order)
 
 
 def _colour_bar(figure: Any, place: tuple[float, float, float, float], contact: Array) -> None:
@@ -282,7 +304,7 @@ def _colour_bar(figure: Any, place: tuple[float, float, float, float], contact: 
         return
     shades, norm = _path_colours(contact)
     bar = figure.colorbar(ScalarMappable(norm, shades), cax=figure.add_axes(place))
-    bar.set_label("leaf contact along the tool's path (0: none)", fontsize=9)
+    bar.set_label("price of the leaves touched [leaf weights per rad]; 0: none", fontsize=9)
     bar.ax.tick_params(labelsize=8)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,6 +15,7 @@ from lime_planner.pipeline.clearance import StemClearance
 from lime_planner.pipeline.figures import sample_path
 from lime_planner.pipeline.leaf_spans import leaf_spans
 from lime_planner.pipeline.plan_record import PlanRecord
+from lime_planner.pipeline.spots import Spot
 
 _STEP_S = 0.04  # between two samples of a motion
 _STEP_RAD = 0.03  # between two samples of a path that has no times
@@ -33,6 +35,8 @@ class Timeline:
         leaf: (K,) price of the leaves touched, 0 where none is.
         clearance_m: (K,) distance to the nearest stem, at most `CLEARANCE_SHOWN_M`.
         cost: (K,) ∫ (1 + w · leaf) ds so far [rad].
+        length_rad: length of what is followed, in joint space.
+        leaf_contact_rad: length of its part in contact with leaves.
         leaf_points: (P,) indices of the scene's leaf points that are touched at any time.
         touched: (K, P) which of them are touched at each sample.
     """
@@ -44,6 +48,8 @@ class Timeline:
     leaf: Array
     clearance_m: Array
     cost: Array
+    length_rad: float
+    leaf_contact_rad: float
     leaf_points: Int64
     touched: Bool
 
@@ -70,8 +76,7 @@ def timeline_of(pipeline: Pipeline, shown: PlanRecord) -> Timeline:
     """
     robot, settings, scene = pipeline.robot, shown.settings, shown.scene
     times, configurations, timed = _samples(shown.result.trajectory, shown.result.waypoints)
-    target = None if shown.target is None else shown.target[:3]
-    obstacles = pipeline.obstacles(scene, target, settings)
+    obstacles = pipeline.obstacles(scene, _spot(shown), settings)
     contact = leaf_spans(obstacles, configurations)
     lengths = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(configurations, axis=0), axis=1))])
     marks = touched_points(robot, pipeline.shapes, configurations, scene.leaf_points, settings.leaf_point_radius_m)
@@ -84,9 +89,19 @@ def timeline_of(pipeline: Pipeline, shown: PlanRecord) -> Timeline:
         contact.price_at(lengths),
         StemClearance(obstacles).along(configurations, CLEARANCE_SHOWN_M),
         lengths + settings.weight * contact.charged_until(lengths),
+        float(lengths[-1]),
+        contact.contact_rad,
         ever,
         np.ascontiguousarray(marks[:, ever]),
     )
+
+
+def _spot(shown: PlanRecord) -> Spot | Array | None:
+    """What the plan was measured against: around its target it let go of the same things."""
+    aim = shown.result.target
+    if aim is None:
+        return None if shown.target is None else shown.target[:3]
+    return dataclasses.replace(aim.spot(shown.scene, shown.settings), picked=shown.result.back)
 
 
 def _samples(trajectory: Trajectory | None, waypoints: Array) -> tuple[Array, Array, bool]:

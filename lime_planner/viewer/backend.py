@@ -43,7 +43,7 @@ class Moment:
         shown: the newest plan, None before the first.
         moving_s: how long the motion of `shown` has run [s]; None when none runs.
         settings: parameters of the next plan, without the page's own wishes.
-        blocked_plan, blocked_motion: why the arm cannot be planned for or moved now; empty where it can.
+        blocked_plan, blocked_motion, blocked_retreat: why the arm cannot be planned for, moved, or led back now; empty where it can.
         advice: what to do, where there is nothing to see yet.
     """
 
@@ -59,6 +59,7 @@ class Moment:
     moving_s: float | None = None
     blocked_plan: str = ""
     blocked_motion: str = ""
+    blocked_retreat: str = ""
     advice: str = ""
 
 
@@ -97,6 +98,11 @@ class Backend(Protocol):
     watched: bool
 
     @property
+    def places(self) -> bool:
+        """Whether `place` puts the arm somewhere."""
+        ...
+
+    @property
     def opens(self) -> bool:
         """Whether `open` takes another scene."""
         ...
@@ -111,6 +117,14 @@ class Backend(Protocol):
 
     def execute(self, number: int) -> None:
         """Carry the plan of that number out, if it still is the newest one."""
+        ...
+
+    def retreat(self) -> None:
+        """Lead the arm back along the last motion."""
+        ...
+
+    def place(self, q: Array) -> None:
+        """Put a simulated arm into a configuration (n,) [rad], without a motion."""
         ...
 
     def stop(self) -> None:

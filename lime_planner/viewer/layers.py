@@ -28,6 +28,8 @@ LEAF = (0.10, 0.52, 0.27)
 #: Points of a class beyond this number are thinned: a browser without a graphics card draws some 20 frames a second with it.
 POINTS_SHOWN = 40_000
 UNSEEN = (0.45, 0.40, 0.62)
+BESIDE = (0.54, 0.31, 0.62)  # the path of a plan beside the one shown
+BLOCKED = (0.86, 0.10, 0.12)
 _TRIANGLES_OF_A_LINK = 3000
 _TONES = (0.82, 0.94, 1.06, 1.18)  # of leaves, so that one stands out from the next
 _PATH_THICKNESS_M = 0.006
@@ -71,7 +73,7 @@ def spacing_of(points: Float32) -> float:
 class Plant:
     """Leaves, stems and limes."""
 
-    def __init__(self, api: Any, scene: Scene, *, centre: Array, reach_m: float, on_lime: Callable[[Array], None]) -> None:
+    def __init__(self, api: Any, scene: Scene, *, centre: Array, reach_m: float, on_lime: Callable[[int], None]) -> None:
         """Add them.
 
         Args:
@@ -79,7 +81,7 @@ class Plant:
             scene: the plant; what is farther than `reach_m` from `centre` is left out.
             centre: (3,) [m].
             reach_m: see `scene`.
-            on_lime: is told the centre (3,) of a lime that is clicked.
+            on_lime: is told the number of a lime that is clicked.
         """
         self._on_lime = on_lime
         self.notes: list[str] = []
@@ -147,8 +149,8 @@ class Plant:
                 )
                 self._parts["leaves"].append(handle)
 
-    def _clicked(self, centre: Array, _event: Any) -> None:
-        self._on_lime(centre)
+    def _clicked(self, number: int, _event: Any) -> None:
+        self._on_lime(number)
 
     def _limes(self, scene: Scene) -> None:
         assert scene.fruit_centres is not None and scene.fruit_radii is not None
@@ -156,13 +158,13 @@ class Plant:
             handle = self._api.add_icosphere(
                 f"/plant/limes/{number}", float(radius), color=rgb(LIME), subdivisions=2, position=centre, cast_shadow=False
             )
-            handle.on_click(partial(self._clicked, centre.astype(np.float64)))
+            handle.on_click(partial(self._clicked, number))
             self._parts["limes"].append(handle)
 
 
 @cache
-def _drawn_meshes(robot: Robot) -> tuple[tuple[int, Array, Int32], ...]:
-    """Return joint, vertices and triangles of each link, simplified for drawing."""
+def _drawn_meshes(robot: Robot) -> tuple[tuple[str, int, Array, Int32], ...]:
+    """Return name, joint, vertices and triangles of each link, simplified for drawing."""
     import open3d as o3d
 
     meshes = []
@@ -172,14 +174,16 @@ def _drawn_meshes(robot: Robot) -> tuple[tuple[int, Array, Int32], ...]:
             mesh = o3d.geometry.TriangleMesh(o3d.utility.Vector3dVector(vertices), o3d.utility.Vector3iVector(triangles))
             mesh = mesh.simplify_quadric_decimation(_TRIANGLES_OF_A_LINK)
             vertices, triangles = np.asarray(mesh.vertices), np.asarray(mesh.triangles)
-        meshes.append((link.joint, vertices, triangles))
+        meshes.append((link.name, link.joint, vertices, triangles))
     return tuple(meshes)
 
 
 class Arm:
     """The arm's meshes at one configuration."""
 
-    def __init__(self, api: Any, name: str, robot: Robot, colour: tuple[float, float, float], opacity: float | None) -> None:
+    def __init__(
+        self, api: Any, name: str, robot: Robot, colour: tuple[float, float, float], opacity: float | None, *, solid: str = ""
+    ) -> None:
         """Add the arm.
 
         Args:
@@ -188,14 +192,21 @@ class Arm:
             robot: the arm.
             colour: 0 to 1.
             opacity: 0 to 1; None for solid.
+            solid: name of a link that is solid all the same.
         """
         self._robot = robot
         self.q: Array | None = None
         self._root = api.add_frame(name, show_axes=False)
         self._joints = [api.add_frame(f"{name}/{joint}", show_axes=False) for joint in range(robot.n + 1)]
-        for number, (joint, vertices, triangles) in enumerate(_drawn_meshes(robot)):
+        for number, (link, joint, vertices, triangles) in enumerate(_drawn_meshes(robot)):
             api.add_mesh_simple(
-                f"{name}/{joint}/{number}", vertices, triangles, color=rgb(colour), opacity=opacity, side="double", cast_shadow=False
+                f"{name}/{joint}/{number}",
+                vertices,
+                triangles,
+                color=rgb(colour),
+                opacity=None if link == solid else opacity,
+                side="double",
+                cast_shadow=False,
             )
 
     def joint_name(self, joint: int) -> str:
@@ -234,12 +245,14 @@ def ghost_arm(api: Any, robot: Robot) -> Arm:
 class ToolPath:
     """The tool's way, blue where the arm is free, orange where any part of it touches leaves."""
 
-    def __init__(self, api: Any, timeline: Timeline) -> None:
-        """Add the line, and an empty place for what is touched."""
+    def __init__(self, api: Any, timeline: Timeline, *, name: str = "/path", colour: tuple[float, float, float] | None = None) -> None:
+        """Add the line; one colour makes it the thinner line of a plan to compare with."""
         pieces = np.stack([timeline.tool[:-1], timeline.tool[1:]], axis=1).astype(np.float32)
         touching = np.maximum(timeline.leaf[:-1], timeline.leaf[1:]) > 0.0
-        colours = np.where(touching[:, None, None], rgb(LEAFY_PATH), rgb(FREE_PATH)).astype(np.uint8)
-        self._line = api.add_line_segments("/path", pieces, np.broadcast_to(colours, pieces.shape), thickness=_PATH_THICKNESS_M)
+        free, leafy = (FREE_PATH, LEAFY_PATH) if colour is None else (colour, colour)
+        colours = np.where(touching[:, None, None], rgb(leafy), rgb(free)).astype(np.uint8)
+        thickness = _PATH_THICKNESS_M if colour is None else 0.6 * _PATH_THICKNESS_M
+        self._line = api.add_line_segments(name, pieces, np.broadcast_to(colours, pieces.shape), thickness=thickness)
 
     def show(self, visible: bool) -> None:
         """Show or hide the line."""

@@ -9,25 +9,33 @@ import queue
 import threading
 import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
 
-from lime_planner.core.types import Array
+from lime_planner.core.geometry import matrix_to_pose
 from lime_planner.output.timeline import Timeline, timeline_of
+from lime_planner.pipeline.in_the_way import in_the_way
 from lime_planner.pipeline.plan_record import PlanRecord
-from lime_planner.robot.model import Robot
+from lime_planner.robot.model import Robot, home
 from lime_planner.scene.scene import Scene
+from lime_planner.viewer import words
 from lime_planner.viewer.access import Access
+from lime_planner.viewer.arm_controls import ArmControls
 from lime_planner.viewer.backend import Activity, Backend, Moment, Wishes
+from lime_planner.viewer.blocked import BlockedLayer
+from lime_planner.viewer.cameras import START, Cameras
 from lime_planner.viewer.controls import Commands, Controls, ask_before_moving
 from lime_planner.viewer.debug_layers import Extras
 from lime_planner.viewer.empty_page import EmptyPage
-from lime_planner.viewer.layers import ApproachLines, Arm, Plant, ToolPath, Touched, ghost_arm, measured_arm
+from lime_planner.viewer.goal import Goal
+from lime_planner.viewer.history import Entry, History
+from lime_planner.viewer.layers import BESIDE, ApproachLines, Arm, Plant, ToolPath, Touched, ghost_arm, measured_arm
 from lime_planner.viewer.player import Player
 from lime_planner.viewer.plots import Plots
+from lime_planner.viewer.pointing import what_is_under
 from lime_planner.viewer.serving import start_server, stop_server
-from lime_planner.viewer.target_marker import TargetMarker
 
 _PERIOD_S = 0.05
 _UNWATCHED_PERIOD_S = 0.5  # when no browser is open
@@ -55,16 +63,21 @@ class Page:
         self._closed = threading.Event()
         self._robot: Robot | None = None
         self._scene: Scene | None = None
-        self._shown: PlanRecord | None = None
+        self._newest: PlanRecord | None = None  # taken into the history
+        self._shown: PlanRecord | None = None  # drawn
+        self._beside: Entry | None = None
         self._timeline: Timeline | None = None
         self._arm: Arm | None = None
         self._ghost: Arm | None = None
         self._plant: Plant | None = None
+        self._blocked: BlockedLayer | None = None
         self._path: ToolPath | None = None
+        self._other_path: ToolPath | None = None
         self._touched: Touched | None = None
         self._approaches: ApproachLines | None = None
         self._marked_s = -1.0
         self.failure = ""
+        self._pool = ThreadPoolExecutor(1, thread_name_prefix="picture")
         moment = backend.moment()
         self._server = start_server(access, port, label="Lime planner")
         self._build(moment)
@@ -86,6 +99,7 @@ class Page:
         self._closed.set()
         self._thread.join(2.0)
         self._extras.close()
+        self._pool.shutdown(wait=False, cancel_futures=True)
         stop_server(self._server)
 
     # -- building -------------------------------------------------------------------------------------------------------------
@@ -99,20 +113,32 @@ class Page:
         server.scene.add_grid(
             "/floor", 3.0, 3.0, cell_size=0.1, section_size=0.5, cell_color=(225, 225, 225), section_color=(195, 195, 195)
         )
-        server.initial_camera.position = (0.95, -1.15, 0.95)
-        server.initial_camera.look_at = (0.38, 0.0, 0.46)
+        server.initial_camera.position, server.initial_camera.look_at = (tuple(point) for point in START)
         self._starting = EmptyPage(gui, self._backend, self._note)
-        commands = Commands(self._on_plan, self._on_execute, self._on_stop, self._on_reset_target, lambda _: None)
-        self._controls = Controls(gui, moment.settings, commands, player=lambda: Player(gui))
-        self._player: Player = self._controls.player
-        panel = gui.add_panel()
-        with panel.add_tab("Along the path"):
-            self._empty_plots = gui.add_markdown("Clearance and cost along the path appear here once there is a plan.")
-            self._plots = Plots(gui)
-        panel.dock_left()
-        panel.set_width(330)
-        self._marker = TargetMarker(server.scene, self._controls)
+        commands = Commands(self._on_plan, self._on_execute, self._on_stop)
+        self._controls = Controls(gui, moment.settings, commands, between=self._build_between)
+        with gui.add_folder("Legend", expand_by_default=False):
+            gui.add_html(words.legend())
         self._extras = Extras(server.scene, self._controls, self._note)
+        server.scene.on_click()(self._on_scene_click)
+
+    def _build_between(self) -> None:
+        """What stands between the buttons and how to search: the plan, its goal, the arm, and other plans."""
+        server, gui = self._server, self._server.gui
+        self._along = gui.add_folder("Along the path", visible=False)
+        with self._along:
+            self._player = Player(gui)
+            self._plots = Plots(gui)
+        with gui.add_folder("Goal"):
+            self._goal = Goal(server.scene, gui)
+            Cameras(gui, lambda: None if self._shown is None else self._shown.target)
+        with gui.add_folder("Arm", expand_by_default=False):
+            place = self._backend.place
+            self._arm_controls = ArmControls(
+                gui, places=self._backend.places, place=lambda q: self._note(lambda: place(q)), home=self._on_home, retreat=self._on_retreat
+            )
+        with gui.add_folder("Plans", expand_by_default=False):
+            self._history = History(gui, lambda: self._robot, self._pool)
 
     # -- notes from viser's threads -------------------------------------------------------------------------------------------
 
@@ -120,21 +146,45 @@ class Page:
         self._notes.put(call)
 
     def _on_plan(self, _event: Any) -> None:
-        self._note(lambda: self._backend.plan(Wishes(self._controls.wishes(self._backend.moment().settings), self._marker.wish())))
+        self._note(self._plan)
 
-    def _on_lime(self, centre: Array) -> None:
-        self._note(lambda: self._backend.plan(Wishes(self._controls.wishes(self._backend.moment().settings), fruit=centre)))
+    def _plan(self) -> None:
+        pose, fruit = self._goal.wish()
+        self._backend.plan(Wishes(self._controls.wishes(self._backend.moment().settings), pose, fruit))
+
+    def _on_lime(self, number: int) -> None:
+        self._note(lambda: self._goal.choose(number))
+
+    def _on_scene_click(self, event: Any) -> None:
+        scene = self._scene
+        if scene is None or not self._controls.shows("leaves"):
+            return
+        found = what_is_under(scene, np.asarray(event.ray_origin), np.asarray(event.ray_direction), self._timeline)
+        if found is not None:
+            event.client.add_notification(*found, auto_close_seconds=6.0)
 
     def _on_execute(self, event: Any) -> None:
         shown = self._backend.moment().shown
         if event.client is not None and shown is not None:
-            ask_before_moving(event.client, shown, real=self._backend.real, go=lambda: self._backend.execute(shown.number))
+            duration_s = shown.result.trajectory.duration_s if shown.result.trajectory is not None else 0.0
+            what = f"will carry out **plan {shown.number}**: {duration_s:.1f} s of motion."
+            ask_before_moving(event.client, what, real=self._backend.real, go=lambda: self._backend.execute(shown.number))
+
+    def _on_retreat(self, event: Any) -> None:
+        if event.client is not None:
+            what = "will go **back along the last motion**, as far as it came."
+            ask_before_moving(event.client, what, real=self._backend.real, go=self._backend.retreat)
+
+    def _on_home(self, _event: Any) -> None:
+        def plan() -> None:
+            if self._robot is not None:
+                pose = matrix_to_pose(self._robot.forward(home(self._robot)))
+                self._backend.plan(Wishes(self._controls.wishes(self._backend.moment().settings), pose))
+
+        self._note(plan)
 
     def _on_stop(self, _event: Any) -> None:
         self._backend.stop()  # at once, whatever the page is drawing
-
-    def _on_reset_target(self, _event: Any) -> None:
-        self._note(self._marker.reset)
 
     # -- the page's thread ----------------------------------------------------------------------------------------------------
 
@@ -156,12 +206,49 @@ class Page:
     def _draw(self, moment: Moment) -> None:
         with self._server.atomic():
             self._draw_standing(moment)
-            if moment.shown is not self._shown and moment.activity is not Activity.PLANNING:
-                self._draw_plan(moment)
+            if moment.activity is not Activity.PLANNING:
+                self._take_in(moment)
+            entry, beside = self._history.shown, self._history.beside
+            if (None if entry is None else entry.record) is not self._shown or beside is not self._beside:
+                self._draw_plan(entry, beside, play=moment.moving_s is None)
             touched = self._draw_moving(moment)
         self._starting.show(moment)
-        notes = [*(self._plant.notes if self._plant is not None else []), *self._extras.notes]
-        self._controls.tell(moment, touched, notes)
+        self._history.draw()
+        self._arm_controls.follow(moment)
+        warnings = () if self._shown is None else self._shown.result.warnings
+        notes = [*warnings, *(self._plant.notes if self._plant is not None else []), *self._extras.notes]
+        self._controls.tell(moment, self._shown, self._timeline, touched, self._changed(), notes)
+
+    def _changed(self) -> str:
+        """What the next plan is to reach, where the newest one was not made for it."""
+        pose, fruit = self._goal.wish()
+        if pose is None and fruit is None:
+            return ""
+        aim = None if self._newest is None else self._newest.result.target
+        if aim is not None and fruit is not None and aim.kind == "fruit" and np.allclose(aim.centre, fruit):
+            return ""
+        if (
+            aim is not None
+            and pose is not None
+            and aim.kind == "pose"
+            and np.allclose(matrix_to_pose(aim.poses[0])[:3], pose[:3], atol=1e-9)
+        ):
+            return ""
+        return self._goal.changed
+
+    def _take_in(self, moment: Moment) -> None:
+        """Add the newest plan to the history."""
+        if moment.shown is self._newest:
+            return
+        self._newest = moment.shown
+        if moment.shown is None:
+            self._history.clear()
+            return
+        record, pipeline = moment.shown, moment.pipeline
+        if pipeline is None:
+            self._history.add(Entry(record))
+        else:
+            self._history.add(Entry(record, timeline_of(pipeline, record) if record.found else None, in_the_way(pipeline, record)))
 
     def _draw_standing(self, moment: Moment) -> None:
         """Arm, plant and target, where they have changed."""
@@ -183,26 +270,35 @@ class Page:
                 reach_m = (1.2 if moment.robot is None else moment.robot.reach_m) + _BEYOND_REACH_M
                 self._plant = Plant(api, moment.scene, centre=np.zeros(3), reach_m=reach_m, on_lime=self._on_lime)
             self._scene = moment.scene
-        self._marker.follow(moment.target)
+            self._goal.take(moment.scene)
+        self._goal.follow(moment.target)
         if self._arm is not None and moment.q is not None:
             self._arm.place(moment.q)
 
-    def _draw_plan(self, moment: Moment) -> None:
-        for layer in (self._path, self._touched, self._approaches):
+    def _draw_plan(self, entry: Entry | None, beside: Entry | None, *, play: bool) -> None:
+        for layer in (self._path, self._other_path, self._touched, self._approaches, self._blocked):
             if layer is not None:
                 layer.remove()
-        self._path = self._touched = self._approaches = self._timeline = None
-        shown = self._shown = moment.shown
-        if shown is not None:
-            self._approaches = ApproachLines(self._server.scene, shown.result.approaches, shown.result.approach_outcomes)
-        if shown is not None and shown.found and moment.pipeline is not None:
-            self._timeline = timeline_of(moment.pipeline, shown)
-            self._path = ToolPath(self._server.scene, self._timeline)
-            self._touched = Touched(self._server.scene, shown.scene, self._timeline)
+        self._path = self._other_path = self._touched = self._approaches = self._blocked = self._timeline = None
+        again = entry is not None and entry.record is self._shown
+        shown = self._shown = None if entry is None else entry.record
+        self._beside, api = beside, self._server.scene
+        other = None if beside is None else beside.timeline
+        if shown is not None and entry is not None:
+            self._approaches = ApproachLines(api, shown.result.approaches, shown.result.approach_outcomes)
+            self._timeline = entry.timeline
+            if entry.in_the_way is not None and self._robot is not None:
+                self._blocked = BlockedLayer(api, self._robot, shown.scene, entry.in_the_way)
+        if shown is not None and self._timeline is not None:
+            self._path = ToolPath(api, self._timeline)
+            self._touched = Touched(api, shown.scene, self._timeline)
+        if other is not None:
+            self._other_path = ToolPath(api, other, name="/path_beside", colour=BESIDE)
         timed = self._timeline is not None and self._timeline.timed
-        self._player.load(self._timeline.duration_s if self._timeline else 0.0, unit="s" if timed else "rad", play=moment.moving_s is None)
-        self._plots.load(self._timeline)
-        self._empty_plots.visible = self._timeline is None
+        if not again:
+            self._player.load(self._timeline.duration_s if self._timeline else 0.0, unit="s" if timed else "rad", play=play)
+        self._plots.load(self._timeline, other)
+        self._along.visible = self._timeline is not None
         self._marked_s = -1.0
 
     def _draw_moving(self, moment: Moment) -> str:
@@ -228,11 +324,14 @@ class Page:
             self._arm.show(controls.shows("arm"))
         if self._ghost is not None:
             self._ghost.show(controls.shows("ghost") and timeline is not None and moment.moving_s is None)
-        if self._path is not None:
-            self._path.show(controls.shows("path"))
+        for path in (self._path, self._other_path):
+            if path is not None:
+                path.show(controls.shows("path"))
         if self._touched is not None:
             self._touched.show(controls.shows("touched"))
+        if self._blocked is not None:
+            self._blocked.show(controls.shows("blocked"))
         if self._approaches is not None:
-            self._approaches.show(controls.shows("target"))
-        self._marker.show(controls.shows("target"))
+            self._approaches.show(controls.shows("approaches"))
+        self._goal.show(controls.shows("target"))
         return words

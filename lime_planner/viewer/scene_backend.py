@@ -16,6 +16,7 @@ from lime_planner.core.status import Status
 from lime_planner.core.types import Array
 from lime_planner.motion import stop as stopping
 from lime_planner.motion.trajectory import Trajectory
+from lime_planner.motion.way_back import straight_back, way_back
 from lime_planner.output.console import compile_first
 from lime_planner.pipeline import Pipeline, PlanResult
 from lime_planner.pipeline.plan_record import PlanRecord
@@ -88,6 +89,7 @@ class SceneBackend:
         self._ready = False
         self._q = q_start
         self._motion: _Motion | None = None
+        self._way_out: PlanResult | None = None  # the plan that was carried out last
         self._shown: PlanRecord | None = None
         self._count = 0
         self._message = "loading the arm's model"
@@ -95,6 +97,11 @@ class SceneBackend:
             self._submit(lambda _: self._load(load_robot, saved))
         self._thread = threading.Thread(target=self._run, name="backend", daemon=True)
         self._thread.start()
+
+    @property
+    def places(self) -> bool:
+        """Whether the arm can be put somewhere."""
+        return True
 
     @property
     def opens(self) -> bool:
@@ -125,6 +132,7 @@ class SceneBackend:
                 None if motion is None or motion.of_plan_s is None else motion.elapsed_s(),
                 self._why_no_plan(),
                 self._why_no_motion(),
+                self._why_no_retreat(),
                 _ADVICE if self._scene is None else "",
             )
 
@@ -135,17 +143,17 @@ class SceneBackend:
                 self._message = Status.NOT_READY.message(self._why_no_plan())
                 return
             try:
-                settings = with_wishes(self._settings, wishes)
+                settings, aim = with_wishes(self._settings, wishes), self._aim
                 if wishes.target is not None:
-                    self._set_aim(pose_target(wishes.target, settings.grasp_freedom))
+                    aim = pose_target(wishes.target, settings.grasp_freedom)
                 elif wishes.fruit is not None:
-                    self._set_aim(fruit_target(wishes.fruit))
+                    aim = fruit_target(wishes.fruit)
             except LimePlannerError as error:
                 self._message = Status.BAD_INPUT.message(str(error))
                 return
-            assert self._pipeline is not None and self._scene is not None and self._aim is not None
-            pipeline, scene, aim = self._pipeline, self._scene, self._aim
-            self._submit(lambda stop: self._make_plan(pipeline, scene, aim, settings, stop))
+            assert self._pipeline is not None and self._scene is not None and aim is not None
+            pipeline, scene, goal = self._pipeline, self._scene, aim
+            self._submit(lambda stop: self._make_plan(pipeline, scene, goal, settings, stop))
 
     def execute(self, number: int) -> None:
         """Let the simulated arm carry the plan out."""
@@ -156,7 +164,27 @@ class SceneBackend:
                 return
             assert self._shown is not None and self._shown.result.trajectory is not None
             self._motion = _Motion(self._shown.result.trajectory, time.monotonic(), 0.0)
+            if not self._shown.result.back:
+                self._way_out = self._shown.result
             self._message = f"the simulated arm moves for {self._motion.trajectory.duration_s:.1f} s"
+
+    def retreat(self) -> None:
+        """Let the simulated arm go back along the motion that it made last."""
+        with self._lock:
+            reason = self._why_no_retreat()
+            if reason:
+                self._message = Status.NOTHING_TO_EXECUTE.message(reason)
+                return
+            assert self._pipeline is not None and self._scene is not None and self._way_out is not None
+            pipeline, scene, way, settings = self._pipeline, self._scene, self._way_out, self._settings
+            self._submit(lambda stop: self._go_back(pipeline, scene, way, settings, stop))
+
+    def place(self, q: Array) -> None:
+        """Put the simulated arm into a configuration; plans begin there."""
+        with self._lock:
+            if self._motion is None and self._robot is not None and np.shape(q) == (self._robot.n,) and np.isfinite(q).all():
+                self._q = np.asarray(q, dtype=np.float64)
+                self._way_out = None
 
     def stop(self) -> None:
         """Cancel a plan; brake the simulated arm along its path."""
@@ -174,7 +202,7 @@ class SceneBackend:
     def open(self, scene: Scene, title: str) -> None:
         """Take another scene; its plan and target go with the old one."""
         with self._lock:
-            self._scene, self._shown, self.title = scene, None, title
+            self._scene, self._shown, self._way_out, self.title = scene, None, None, title
             self._aim = self._own(scene)
             self._target = None if self._aim is None else self._aim.shown_pose()
             self._message = f"{title}: {scene.n_points} points"
@@ -216,6 +244,11 @@ class SceneBackend:
             return "the arm no longer stands where the plan begins; press Plan again"
         return ""
 
+    def _why_no_retreat(self) -> str:
+        if self._motion is not None:
+            return "the arm moves already"
+        return "" if self._way_out is not None and self._ready else "nothing has been executed yet"
+
     def _measured(self) -> Array | None:
         if self._motion is None:
             return self._q
@@ -228,7 +261,9 @@ class SceneBackend:
             return
         self._q, self._motion = motion.trajectory.positions[-1].copy(), None
         if motion.of_plan_s is not None:
-            self._message = Status.SUCCEEDED.message("the simulated arm has reached the end of the plan")
+            back = self._shown is not None and self._shown.result.back
+            reached = "is back where the motion began" if back else "has reached the end of the plan"
+            self._message = Status.SUCCEEDED.message(f"the simulated arm {reached}")
 
     def _fit(self, robot: Robot) -> None:
         """Put a scene without a frame into the arm's, and give one without a target a place to drag it from."""
@@ -304,6 +339,26 @@ class SceneBackend:
         if result.status is not Status.CANCELLED:
             grasp = aim.shown_pose() if result.T_base_tool is None else matrix_to_pose(result.T_base_tool)
             self._show(scene, grasp, settings, result)
+
+    def _go_back(self, pipeline: Pipeline, scene: Scene, way: PlanResult, settings: Settings, stop: threading.Event) -> None:
+        with self._lock:
+            q = self._measured()
+            self._message = "the way back is checked"
+        assert q is not None
+        waypoints = way_back(way.waypoints, q)
+        straight_from = way.waypoints[way.straight_from] if way.straight_from < len(way.waypoints) - 1 else None
+        straight = straight_back(straight_from, waypoints)
+        result = pipeline.follow(waypoints, scene, way.target, settings, straight=straight, should_stop=stop.is_set)
+        self._say(result.message)
+        if result.status is Status.CANCELLED:
+            return
+        self._show(scene, None, settings, result)
+        if result.status is Status.SUCCEEDED and result.trajectory is not None:
+            with self._lock:
+                if stop.is_set():
+                    return
+                self._motion = _Motion(result.trajectory, time.monotonic(), 0.0)
+                self._message = f"the simulated arm goes back for {result.trajectory.duration_s:.1f} s"
 
     def _show(self, scene: Scene | None, target: Array | None, settings: Settings, result: PlanResult) -> None:
         assert scene is not None

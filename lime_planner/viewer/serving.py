@@ -21,6 +21,7 @@ from typing import Any
 from lime_planner.core.errors import ParameterError
 from lime_planner.core.signals import EndSignals
 from lime_planner.viewer.access import Access
+from lime_planner.viewer.head import with_our_head
 
 _starting = threading.Lock()
 #: Messages that show something to their sender alone. Everything else changes what all browsers see, or moves an arm.
@@ -142,6 +143,7 @@ def _guarded(serve_file: Any, access: Access) -> Callable[[Any, Any], Any]:
             return None
         response = serve_file(connection, request)
         if response is not None:
+            _dress(response)
             response.headers.update(_HEADERS)
             cookie = access.cookie(request.path)
             if cookie is not None:
@@ -149,6 +151,16 @@ def _guarded(serve_file: Any, access: Access) -> Callable[[Any, Any], Any]:
         return response
 
     return process_request
+
+
+def _dress(response: Any) -> None:
+    """Put our own head into viser's page; other files pass as they are."""
+    if response.status_code != http.HTTPStatus.OK or "html" not in response.headers.get("Content-Type", ""):
+        return
+    response.body = with_our_head(response.body, gzipped=response.headers.get("Content-Encoding", "") == "gzip")
+    if "Content-Length" in response.headers:
+        del response.headers["Content-Length"]
+    response.headers["Content-Length"] = str(len(response.body))
 
 
 def _filtered(handler: Callable[[Any], Awaitable[None]], access: Access) -> Callable[[Any], Awaitable[None]]:

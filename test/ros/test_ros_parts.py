@@ -15,10 +15,11 @@ from lime_planner.collision.arm_filter import FAR_M, ArmSurface, make_arm_filter
 from lime_planner.core.errors import Refusal, RobotError
 from lime_planner.core.parameters import settings_from
 from lime_planner.core.status import Status
+from lime_planner.motion.way_back import way_back
 from lime_planner.pipeline.plan_record import PlanRecord
 from lime_planner.robot.model import Robot, home, load_robot
 from lime_planner.ros.display.markers import markers
-from lime_planner.ros.execution.retreat import Path, WayOut, nearest_turns, way_back
+from lime_planner.ros.execution.retreat import Path, WayOut, nearest_turns
 from lime_planner.ros.model_loader import Loaded, ModelLoader
 from lime_planner.ros.runtime import Severity, Throttle
 from lime_planner.scene.scene import Scene

@@ -84,10 +84,20 @@ def test_plan_execute_stop(backend: SceneBackend) -> None:
     off = np.abs(trajectory.sample(np.linspace(0.0, trajectory.duration_s, 4000)) - rested.q).max(axis=1)
     assert off.min() < 0.01 < min(off[0], off[-1])
     assert "no longer stands where the plan begins" in rested.blocked_motion
+    assert not rested.blocked_retreat
+    backend.retreat()
+    until(backend, lambda moment: moment.activity is Activity.MOVING)
+    home_again = until(backend, lambda moment: moment.activity is Activity.IDLE)
+    assert home_again.message.endswith("is back where the motion began") and home_again.shown is not None and home_again.shown.result.back
+    np.testing.assert_allclose(home_again.q, home(robot_named()), atol=1e-9)
+    number = home_again.shown.number
+    elsewhere = home(robot_named()) + 0.05
+    backend.place(elsewhere)
+    assert "nothing has been executed" in backend.moment().blocked_retreat
     backend.plan(Wishes())
-    again = until(backend, lambda moment: moment.shown is not None and moment.shown.number == 2 and moment.activity is Activity.IDLE)
+    again = until(backend, lambda moment: moment.shown is not None and moment.shown.number > number and moment.activity is Activity.IDLE)
     assert again.shown is not None
-    np.testing.assert_allclose(again.shown.result.waypoints[0], rested.q)
+    np.testing.assert_allclose(again.shown.result.waypoints[0], elsewhere)
 
 
 def test_wishes_count_for_one_plan(backend: SceneBackend) -> None:
@@ -100,6 +110,7 @@ def test_wishes_count_for_one_plan(backend: SceneBackend) -> None:
     assert after.shown is not None and after.shown.target is not None
     assert (after.shown.settings.leaf_weight, after.shown.settings.planner) == (5.0, "rrt_star")
     np.testing.assert_allclose(after.shown.target, moved)
+    np.testing.assert_allclose(after.target, before.target)
     assert backend.moment().settings.planner == "lime_star"
     backend.plan(Wishes({"time_budget_s": -1.0}))
     assert "time_budget_s is -1.0; allowed" in backend.moment().message

@@ -37,6 +37,7 @@ class NodeBackend:
 
     real = True
     opens = False
+    places = False
 
     def __init__(self, parts: NodeParts, requests: Requests, services: Services) -> None:
         """Watch a node.
@@ -98,6 +99,7 @@ class NodeBackend:
             motion.elapsed_s() if motion is not None and follows else None,
             self._why_no_plan(activity),
             self._why_no_motion(activity, planned),
+            self._why_no_retreat(activity),
             missing if scene is None else "",
         )
 
@@ -143,6 +145,18 @@ class NodeBackend:
 
         self._parts.worker.submit("execute", job, self._services.finish)
 
+    def retreat(self) -> None:
+        """Do what `~/retreat` does."""
+        self._parts.worker.submit("retreat", self._requests.retreat, self._services.finish)
+
+    def place(self, q: Array) -> None:
+        """The arm is where it is measured to be.
+
+        Raises:
+            LimePlannerError: always.
+        """
+        raise LimePlannerError("the planner node takes the arm's configuration from its joint states")
+
     def stop(self) -> None:
         """Do what `~/stop` does."""
         self._services.stop_everything()
@@ -187,6 +201,13 @@ class NodeBackend:
         if planned is None or previewed is None or previewed[1] is not planned:
             return "there is no plan to carry out; press Plan first"
         return ""
+
+    def _why_no_retreat(self, activity: Activity) -> str:
+        if not self._parts.parameters.snapshot.node.motion_enabled:
+            return "motion is disabled by the parameter motion_enabled"
+        if activity in (Activity.MOVING, Activity.STOPPING):
+            return "the arm moves already"
+        return "" if self._parts.execution.way_out.path is not None else "nothing has been executed yet"
 
     def _look_at_clouds(self) -> None:
         """Take in the newest clouds while nothing else is going on, now and then."""

@@ -11,10 +11,11 @@ from geometry_msgs.msg import PoseStamped
 
 from lime_planner.core.errors import Refusal
 from lime_planner.core.status import Status
+from lime_planner.motion.way_back import straight_back, way_back
 from lime_planner.pipeline.result import PlanResult
 from lime_planner.ros.convert import TargetMessage, read_target
 from lime_planner.ros.execution.motion import moves, on_turns_of
-from lime_planner.ros.execution.retreat import Path, nearest_turns, straight_back, way_back
+from lime_planner.ros.execution.retreat import Path, nearest_turns
 from lime_planner.ros.inputs.latest import Target
 from lime_planner.ros.model_loader import Loaded
 from lime_planner.ros.parameters import Snapshot
@@ -172,7 +173,7 @@ class Requests(LookSteps):
                 scene = self._source.scene(snapshot, ticket.should_stop)
                 self._show_phase(ticket, Phase.PLANNING)
                 aim, should_stop = path.aim, ticket.should_stop
-                straight = straight_back(path, waypoints)
+                straight = straight_back(path.straight_from, waypoints)
                 result = self._guarded(
                     lambda: loaded.pipeline.follow(waypoints, scene, aim, snapshot.plan, straight=straight, should_stop=should_stop)
                 )

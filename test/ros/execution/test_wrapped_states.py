@@ -17,8 +17,9 @@ from lime_planner.motion.controllers.command import Command
 from lime_planner.motion.controllers.simulated_arm import Faults, SimulatedArm
 from lime_planner.motion.stop import braking_reach, speeds_ahead
 from lime_planner.motion.timing import time_path
+from lime_planner.motion.way_back import way_back
 from lime_planner.ros.execution.motion import Motion, on_turns_of
-from lime_planner.ros.execution.retreat import nearest_turns, way_back
+from lime_planner.ros.execution.retreat import nearest_turns
 from lime_planner.ros.execution.stopping import make_stop
 from lime_planner.ros.inputs.joint_states import ArmState, JointHistory
 from lime_planner.ros.parameters import snapshot_from

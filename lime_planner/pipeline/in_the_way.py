@@ -1,0 +1,67 @@
+"""What a refused plan was refused for, as a configuration that can be drawn: where the arm would have to be, and what it meets there."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from lime_planner.collision.exact import Hit
+from lime_planner.core.geometry import pose_to_matrix
+from lime_planner.core.status import Status
+from lime_planner.core.types import Array
+from lime_planner.pipeline.goals import ARM_BLOCKED, HAND_BLOCKED
+from lime_planner.pipeline.pipeline import Pipeline
+from lime_planner.pipeline.plan_record import PlanRecord
+from lime_planner.robot.ik import solve_ik
+
+_APPROACHES = 12  # blocked approaches for which a configuration is looked for
+_STARTS = 24
+
+
+@dataclass(frozen=True, eq=False)
+class InTheWay:
+    """A configuration that was refused, and why.
+
+    Attributes:
+        q: (n,) [rad].
+        hit: the contact there.
+    """
+
+    q: Array
+    hit: Hit
+
+
+def in_the_way(pipeline: Pipeline, record: PlanRecord) -> InTheWay | None:
+    """Look for what stands in the way of a refused plan; None where nothing hard does, or the plan was not refused for it.
+
+    Args:
+        pipeline: of the arm that it was made for.
+        record: the plan. A start that is blocked shows itself; of blocked goals the first that meets a stem, else the first.
+    """
+    result, settings = record.result, record.settings
+    if result.q_start is None or result.target is None:
+        return None
+    if result.status not in (Status.START_IN_STEM, Status.START_INVALID, Status.GOAL_IN_STEM):
+        return None
+    obstacles = pipeline.obstacles(record.scene, result.target.spot(record.scene, settings), settings)
+    checker = obstacles.exact_checker(lambda: False)
+    if result.status is not Status.GOAL_IN_STEM:
+        hit = checker.stem_hit(result.q_start)
+        return None if hit is None else InTheWay(result.q_start, hit)
+    if result.target.kind == "pose":
+        poses = result.target.poses
+    else:
+        blocked = np.isin(result.approach_outcomes, (HAND_BLOCKED, ARM_BLOCKED))
+        poses = np.array([pose_to_matrix(pose) for pose in result.approaches[blocked]]).reshape(-1, 4, 4)
+        poses = poses[:: max(1, len(poses) // _APPROACHES)]
+    inside = np.clip(result.q_start, pipeline.robot.lower, pipeline.robot.upper)
+    other: InTheWay | None = None
+    rng = np.random.default_rng(0)
+    for T in poses:
+        for q in solve_ik(pipeline.robot, T, inside, rng, max_solutions=4, starts=_STARTS).solutions:
+            hit = checker.stem_hit(q)
+            if hit is not None and hit.place is not None:
+                return InTheWay(q, hit)
+            other = other or (None if hit is None else InTheWay(q, hit))
+    return other

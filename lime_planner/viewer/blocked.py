@@ -1,0 +1,58 @@
+"""What a refused plan was refused for, in red: the arm where it would have to be, the link that is blocked, and what blocks it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from lime_planner.pipeline.in_the_way import InTheWay
+from lime_planner.robot.model import Robot
+from lime_planner.scene.scene import Scene
+from lime_planner.viewer.layers import BLOCKED, Arm, rgb, set_visible, thinned
+
+_NEAR_M = 0.03  # points of the obstacle are drawn this far from the contact
+_MOST_POINTS = 400
+_PALE = 0.25
+
+
+class BlockedLayer:
+    """The refused configuration."""
+
+    def __init__(self, api: Any, robot: Robot, scene: Scene, found: InTheWay) -> None:
+        """Draw it.
+
+        Args:
+            api: viser's scene.
+            robot: the arm.
+            scene: whose hard points are drawn around the contact.
+            found: see `lime_planner.pipeline.in_the_way`.
+        """
+        self._arm = Arm(api, "/blocked", robot, BLOCKED, _PALE, solid=found.hit.link)
+        self._arm.place(found.q)
+        self._handles: list[Any] = []
+        if found.hit.place is None:
+            return
+        points = np.concatenate([scene.stem_points, scene.fruit_points])
+        near = points[np.linalg.norm(points - found.hit.place, axis=1) < _NEAR_M]
+        near = near[thinned(near, _MOST_POINTS)] if len(near) else near
+        if len(near):
+            self._handles.append(
+                api.add_point_cloud("/blocked_by", near, rgb(BLOCKED), point_size=0.009, point_shape="circle", precision="float32")
+            )
+        ball = api.add_icosphere(
+            "/blocked_at", 0.022, color=rgb(BLOCKED), subdivisions=2, position=found.hit.place, opacity=0.4, cast_shadow=False
+        )
+        self._handles.append(ball)
+
+    def show(self, visible: bool) -> None:
+        """Show or hide it."""
+        self._arm.show(visible)
+        for handle in self._handles:
+            set_visible(handle, visible)
+
+    def remove(self) -> None:
+        """Take it out of the scene."""
+        self._arm.remove()
+        for handle in self._handles:
+            handle.remove()
