@@ -44,6 +44,7 @@ from lime_planner.scene.views.seen_map import SeenMap
 _FINISH_S = 0.4  # of a deadline, left for certificate, figures and timing
 _RETRY_MARGIN_M = 0.003  # added to the margin when the exact check refuses a path
 _ATTEMPTS = 2
+_AROUND_ARM_M = 0.02  # so close to where the arm stood nothing is unseen: it came there, and begins to move there again
 _DROPPED = 4  # goals at most whose straight stretch the exact check refuses
 
 
@@ -124,7 +125,7 @@ class Pipeline:
         if kept is None or kept[0] is not scene:
             seen = seen_map_of(self.robot, scene)
             if scene.stood is not None and len(seen.unseen) and scene.stood.shape[1] == self.robot.n:
-                filled = touched_points(self.robot, self.shapes, scene.stood, seen.unseen, seen.voxel_m).any(axis=0)
+                filled = touched_points(self.robot, self.shapes, scene.stood, seen.unseen, _AROUND_ARM_M).any(axis=0)
                 seen = dataclasses.replace(seen, unseen=seen.unseen[~filled])
             kept = self._seen = (scene, seen)
         return kept[1]

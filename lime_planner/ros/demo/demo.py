@@ -15,13 +15,14 @@ from typing import TYPE_CHECKING, Any
 
 from lime_planner.core.atomic_files import make_folder
 from lime_planner.core.errors import ParameterError
-from lime_planner.core.parameters import PARAMETERS, parse_assignment, settings_from
+from lime_planner.core.parameters import PARAMETERS, parse_assignment, settings_from, validate
 from lime_planner.core.status import Status
 from lime_planner.robot.builtin import demo_arm
 from lime_planner.ros.demo.processes import Corner, DemoError, Processes
 from lime_planner.ros.demo.report import MOTION_TIMEOUT_S, Columns, Driven, reached_for, report, verdict
 
 if TYPE_CHECKING:
+    from lime_planner.core.parameters import Settings
     from lime_planner.core.types import Array
     from lime_planner.robot.model import Robot
     from lime_planner.ros.demo.client import DemoClient
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
 
 
 DEFAULT_SEED = 15
+DEFAULT_LOOKS = 2  #: at a generated plant
 _READY_TIMEOUT_S = 600.0  # compiling everything for the first time takes its while on a slow machine
 _REPEAT_S = 20.0  # no longer silence than this
 _TARGETS_TRIED = 80
@@ -37,7 +39,9 @@ _TARGETS_TRIED = 80
 _EPILOG = """\
 Three nodes run as processes on this machine, in a ROS domain and a namespace of
 their own: a scene (clouds and target), a simulated arm, the planner. The demo
-asks ~/plan, which moves the (simulated) arm, and measures where it ends.
+asks ~/plan, which moves the (simulated) arm, and measures where it ends. At a
+generated plant the scene is what two depth cameras see, one of them on the arm,
+and the arm looks before it reaches.
 
 examples:
   make demo
@@ -56,6 +60,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     pose = ("X", "Y", "Z", "QX", "QY", "QZ", "QW")
     parser.add_argument("--target", nargs=7, type=float, metavar=pose, help="pose of the tool at the fruit; default: the scene's, or drawn")
     parser.add_argument("--controller", choices=("jtc", "kinova"), default="jtc", help="whose rules the arm follows (default jtc)")
+    looks = f"looks of the arm's camera before the reach; 0: every point is known; default: {DEFAULT_LOOKS} at a generated plant, else 0"
+    parser.add_argument("--looks", type=int, metavar="N", help=looks)
     parser.add_argument("--out", type=Path, default=Path("out"), metavar="DIR", help="folder for picture, figures and logs (default out)")
     parser.add_argument(
         "--set", action="append", default=[], metavar="PARAMETER=VALUE", dest="assignments", help="set any parameter; repeatable"
@@ -104,20 +110,44 @@ def run(args: argparse.Namespace) -> int:
         raise ParameterError(f"--out {args.out}: cannot be made ({error.strerror or error})") from error
     corner = Corner.own()
     arm = {"robot": settings.robot, "controller": args.controller}
+    looks = (0 if args.scene else DEFAULT_LOOKS) if args.looks is None else args.looks
+    validate("max_looks", looks)
+    seen = {"camera": "all", "labelled": True, "robot": settings.robot} if looks else {}
     with quick_end(), Processes(corner, args.out / "logs") as nodes:
         clock.say(f"starting planner_node and mock_arm_node in ROS domain {corner.domain}, namespace {corner.namespace}")
-        nodes.start("planner_node", "lime_planner.ros.nodes.planner_node", {**arm, **values})
+        looking = _looking(looks, scene, settings) if looks else {}
+        nodes.start("planner_node", "lime_planner.ros.nodes.planner_node", {**arm, **looking, **values})
         nodes.start("mock_arm_node", "lime_planner.ros.nodes.mock_arm_node", arm)
         loaded = build(settings, None)
         scene = completed_scene(scene, loaded, planning, clock)
         path = args.out / "scene.npz"
         scene.save(path)
         clock.say("starting scene_node")
-        nodes.start("scene_node", "lime_planner.ros.nodes.scene_node", {"file": str(path.resolve())})
-        driven, comparisons = _drive(corner, nodes, loaded, scene, planning, clock)
+        nodes.start("scene_node", "lime_planner.ros.nodes.scene_node", {"file": str(path.resolve()), **seen})
+        driven, comparisons = _drive(corner, nodes, loaded, scene, planning, looks, clock)
     picture = report(args, loaded.robot, scene, driven, comparisons)
     clock.say(f"picture: {picture}   figures: {args.out / 'demo.json'}   logs: {args.out / 'logs'}")
     return verdict(loaded.robot, scene, driven)
+
+
+def _looking(looks: int, scene: Scene, settings: Settings) -> dict[str, Any]:
+    """The planner's parameters for a camera on the arm and a fixed one, as the scene node has them."""
+    from lime_planner.robot.builtin import BUILTIN_ARMS
+    from lime_planner.robot.model import load_robot
+    from lime_planner.ros.nodes.scene_cameras import WRIST_FRAME, arm_camera, fixed_cameras
+
+    known = BUILTIN_ARMS.get(settings.robot)
+    tool_frame = settings.tool_frame or (load_robot(settings.robot).tool_frame if known is None else known.tool_frame)
+    frame = scene.frame_id or settings.planning_frame or "base"  # as the built-in arms have it
+    cameras = [arm_camera(tool_frame), *fixed_cameras(dataclasses.replace(scene, frame_id=frame))]
+    return {
+        "camera_frame": WRIST_FRAME,
+        "static_transforms": [camera.transform for camera in cameras],
+        "look_first": True,
+        "max_looks": looks,
+        "unseen_enough": 0.0,  # to be shown
+        "replan_attempts": 2,  # a stem may come into sight on the way
+    }
 
 
 def scene_of(args: argparse.Namespace) -> Scene:
@@ -192,19 +222,32 @@ def quick_end() -> Any:
 
 
 def _drive(
-    corner: Corner, nodes: Processes, loaded: Loaded, scene: Scene, planning: Mapping[str, Any], clock: Clock
+    corner: Corner, nodes: Processes, loaded: Loaded, scene: Scene, planning: Mapping[str, Any], looks: int, clock: Clock
 ) -> tuple[Driven, Columns]:
     """Ask for the plan and follow the motion; the plans to compare with are made meanwhile."""
     from lime_planner.ros.demo.client import DemoClient
 
-    with DemoClient(corner, loaded.robot.joint_names, nodes.check) as client:
+    told = [0]
+
+    def check() -> None:
+        nodes.check()
+        looks = int(client.status.get("looks") or 0)
+        if looks > told[0]:
+            told[0] = looks
+            before, after = (1e3 * float(client.status.get(f"look_unseen_{when}_m3") or "nan") for when in ("before", "after"))
+            clock.say(f"look {looks}: {before:.2f} dm³ of the best way were unseen, {after:.2f} are left")
+
+    with DemoClient(corner, loaded.robot.joint_names, check) as client:
         client.wait(client.planner_serves, 60.0, "the planner's service and the arm's joint states")
         clock.say("all nodes are up")
         _wait_until_ready(client, nodes.check, clock)
         clock.say(f"calling {corner.namespace}/lime_planner/plan")
         before = len(client.states)
-        success, message = client.plan(60.0)
+        success, message = client.plan(60.0 + MOTION_TIMEOUT_S * looks)
+        check()
         clock.say(message)
+        if looks:
+            before = len(client.states)  # the reach begins where the last look ended
         q_start = client.states[max(0, before - 1)]
         with ThreadPoolExecutor(1) as pool:
             comparisons = pool.submit(_compare, loaded, scene, q_start, planning)
@@ -238,6 +281,7 @@ def _follow(client: DemoClient, nodes: Processes, robot: Robot, scene: Scene, cl
     import numpy as np
 
     deadline = time.monotonic() + MOTION_TIMEOUT_S
+    request = client.status.get("plan_id")
     grasp = reached_for(scene, client.status)
     assert grasp is not None
     while not client.status.get("execution_code"):
@@ -250,6 +294,20 @@ def _follow(client: DemoClient, nodes: Processes, robot: Robot, scene: Scene, cl
         if time.monotonic() > deadline:
             return
     client.wait(client.still, 5.0, "the arm to rest")
+    if client.status.get("execution_code") == Status.STEM_APPEARED.name or client.status.get("plan_id") != request:
+        _follow_replanned(client, nodes, robot, scene, clock, request)
+
+
+def _follow_replanned(client: DemoClient, nodes: Processes, robot: Robot, scene: Scene, clock: Clock, request: str | None) -> None:
+    """Follow the motion that is planned again after a stem came into sight, if there is one."""
+    clock.say(client.status["message"] if client.status.get("plan_id") != request else client.status.get("execution_message", ""))
+    with contextlib.suppress(DemoError):
+        client.wait(lambda: client.status.get("plan_id") != request, 1.0, "another plan")
+    if client.status.get("plan_id") == request:
+        return
+    client.wait(lambda: client.status.get("phase") in ("EXECUTING", "DONE"), MOTION_TIMEOUT_S, "the plan from where the arm was stopped")
+    if client.status.get("code") == Status.SUCCEEDED.name:
+        _follow(client, nodes, robot, scene, clock)
 
 
 def _compare(loaded: Loaded, scene: Scene, q_start: Array, planning: Mapping[str, Any]) -> Columns:

@@ -53,7 +53,9 @@ def report(args: argparse.Namespace, robot: Robot, scene: Scene, driven: Driven,
     picture = _picture(args, robot, scene, driven, figures)
     write_json(args.out / "demo.json", {"driven": figures, **{heading.replace(" ", "_"): dict(column) for heading, column in comparisons}})
     measured = driven.success
+    known = ["all known"] * len(comparisons)
     extra = [
+        *([("looks", [f"{float(figures['looks']):.0f}", *known])] if figures.get("looks") else []),
         ("motion", [str(figures.get("execution_code", "–")), *["not driven"] * len(comparisons)]),
         ("goal error, measured [mm]", [f"{1000.0 * error_m:.3f}" if measured else "–", *["–"] * len(comparisons)]),
         ("goal error, measured [mrad]", [f"{1000.0 * error_rad:.3f}" if measured else "–", *["–"] * len(comparisons)]),

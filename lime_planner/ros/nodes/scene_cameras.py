@@ -32,14 +32,16 @@ ARM_LABEL = 255
 _ARM_SPACING_M, _ARM_SHARE = 0.003, 4  # dense enough to hide what is behind; one in so many is published, as dense as the plant's
 _TRUE_STATES = "mock_arm/true_joint_states"  # what a mock arm really does, whatever it reports
 
+WRIST_FRAME = "wrist_camera"
+DEFAULT_VIEWPOINTS = np.array([[-0.4, 0.2, 0.8]])  #: behind the arm
 _MOUNT = [float(v) for v in matrix_to_pose(T_TOOL_CAMERA)]
 
 #: Name, default, meaning: of `scene_node`.
 PARAMETERS: tuple[tuple[str, Any, str], ...] = (
     ("camera", "", "Publish what depth cameras see: `wrist` (on the arm), `fixed` (those of `viewpoints`), `all`; empty: every point."),
-    ("camera_frame", "wrist_camera", "Frame of the clouds of the camera on the arm, +z forwards; fixed ones are camera_1, camera_2, ..."),
+    ("camera_frame", WRIST_FRAME, "Frame of the clouds of the camera on the arm, +z forwards; fixed ones are camera_1, camera_2, ..."),
     ("camera_pose", _MOUNT, "Where the tool carries it: x y z qx qy qz qw in the tool's frame [m]."),
-    ("viewpoints", [-0.4, 0.2, 0.8], "Where fixed cameras stand: x y z of each [m]; they look at the middle of the scene."),
+    ("viewpoints", DEFAULT_VIEWPOINTS[0].tolist(), "Where fixed cameras stand: x y z of each [m]; they look at the middle of the scene."),
     ("robot", "kinova_j2s6s200", "The arm in the pictures, which carries the camera: a built-in one, or a URDF file; empty: none."),
     ("camera_noise_m", 0.001, "Standard deviation of the depth at one metre [m]; it grows with the square of the distance."),
     ("camera_drop_out", 0.3, "Share of the pixels at depth edges that return nothing."),
@@ -47,7 +49,7 @@ PARAMETERS: tuple[tuple[str, Any, str], ...] = (
 
 
 @dataclass(frozen=True, eq=False)
-class _Mounted:
+class Mounted:
     """A camera, and what carries it.
 
     Attributes:
@@ -59,6 +61,22 @@ class _Mounted:
     frame: str
     parent: str
     T_parent_camera: Array
+
+    @property
+    def transform(self) -> str:
+        """Its place as `static_transforms` takes it."""
+        return f"{self.parent} {self.frame} {' '.join(f'{v:.6f}' for v in matrix_to_pose(self.T_parent_camera))}"
+
+
+def arm_camera(tool_frame: str, T_tool_camera: Array = T_TOOL_CAMERA, frame: str = WRIST_FRAME) -> Mounted:
+    """The camera that the tool carries."""
+    return Mounted(frame, tool_frame, T_tool_camera)
+
+
+def fixed_cameras(scene: Scene, viewpoints: Array = DEFAULT_VIEWPOINTS) -> list[Mounted]:
+    """Cameras at (V, 3) [m] that look at the middle of a scene."""
+    middle = np.concatenate([scene.leaf_points, scene.stem_points, scene.fruit_points]).mean(axis=0)
+    return [Mounted(f"camera_{k + 1}", scene.frame_id, look_at(place, middle)) for k, place in enumerate(viewpoints)]
 
 
 def check(values: Mapping[str, Any]) -> None:
@@ -154,24 +172,20 @@ class SceneCameras:
         except Refusal:
             return None
 
-    def cameras(self, scene: Scene) -> list[_Mounted]:
+    def cameras(self, scene: Scene) -> list[Mounted]:
         """The cameras around a scene, the one on the arm first."""
         found = []
         if self._wrist:
             assert self._robot is not None
-            found.append(_Mounted(self._frame, self._robot.tool_frame, self._T_tool_camera))
-        if self._kind != "wrist":
-            middle = np.concatenate([scene.leaf_points, scene.stem_points, scene.fruit_points]).mean(axis=0)
-            fixed = [look_at(place, middle) for place in self._viewpoints]
-            found += [_Mounted(f"camera_{k + 1}", scene.frame_id, T) for k, T in enumerate(fixed)]
-        return found
+            found.append(arm_camera(self._robot.tool_frame, self._T_tool_camera, self._frame))
+        return found if self._kind == "wrist" else [*found, *fixed_cameras(scene, self._viewpoints)]
 
     def introduce(self, scene: Scene) -> list[str]:
         """Publish where the cameras are where tf2's messages are there; return it as `static_transforms` takes it."""
         cameras = self.cameras(scene)
         if self._tf is not None:
             self._tf(cameras)
-        return [f"{c.parent} {c.frame} {' '.join(f'{v:.6f}' for v in matrix_to_pose(c.T_parent_camera))}" for c in cameras]
+        return [camera.transform for camera in cameras]
 
     def take_picture(self, scene: Scene, *, labelled: bool, spared: Array | None, spared_m: float) -> list[tuple[str, PointCloud2]]:
         """Take a picture with the next of the cameras.
@@ -230,7 +244,7 @@ def _transform_publisher(node: Node) -> Any:
     profile = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
     publisher = node.create_publisher(TFMessage, "/tf_static", profile)
 
-    def publish(cameras: Sequence[_Mounted]) -> None:
+    def publish(cameras: Sequence[Mounted]) -> None:
         stamped = []
         for camera in cameras:
             pose = to_pose(matrix_to_pose(camera.T_parent_camera))

@@ -126,6 +126,7 @@ class LookSteps(RequestSteps):
                 self._come_to_rest(ticket, snapshot)
             else:
                 if looked is None:
+                    self._board.note(ticket.plan_id, looks_ended="no further view of what is unseen on the way can be reached")
                     break
             looks.append(looked)
             self._board.note(ticket.plan_id, looks=len(looks), **({} if looked is None else looked.figures()))

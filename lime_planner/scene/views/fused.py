@@ -1,6 +1,7 @@
 """What several pictures of a plant show together: an older point stays until a ray of a newer picture passes through it.
 
-A ray passed through a point where the newer picture shows, in the direction of the point and all around it, something farther away.
+A ray passed through a point where the newer picture shows, in the direction of the point and all around it, something farther away: around
+stems and fruit so far that cameras whose calibrations are 5 mm and 1° apart forget none of them for each other.
 A direction without a return tells nothing: depth cameras return nothing from the sky, from dark leaves and beyond their range alike.
 What was passed stays a blocking point of its own picture, whose rays ended there: nothing is known of what it hid then.
 """
@@ -22,7 +23,8 @@ from lime_planner.scene.views.depth_map import cell_of
 PASSED_M = 0.02  #: a ray must end this far behind a point to have passed through it: noise and calibration are less
 _CELL_M = 0.006  # of the map of a picture, at the middle distance of its hits
 _SMALLEST_CELLS, _MOST_CELLS = 32, 1024  # along an edge of a face of the cube
-_LEAST_AROUND = 4  # of the nine cells around a point's direction, its own included, that a return must have come from
+_AROUND_LEAF, _AROUND_STEM = 1, 3  # cells on each side of a point's direction in which nothing may have stopped a ray
+_LEAST_AROUND = 0.44  # share of these cells, the point's own included, that a return must have come from
 
 
 @kernel
@@ -37,7 +39,7 @@ def _nearest(points: Any, origin: Any, cells: int) -> Any:
 
 
 @kernel
-def _passed(points: Any, origin: Any, depths: Any, behind: float, least: int) -> Any:
+def _passed(points: Any, origin: Any, depths: Any, behind: float, beside: int, least: float) -> Any:
     """Tell through which points rays passed."""
     cells = depths.shape[1]
     passed = np.zeros(points.shape[0], np.bool_)
@@ -46,13 +48,13 @@ def _passed(points: Any, origin: Any, depths: Any, behind: float, least: int) ->
         if distance <= 0.0:
             continue
         around, stopped = 0, False
-        for r in range(max(0, row - 1), min(cells, row + 2)):
-            for c in range(max(0, column - 1), min(cells, column + 2)):
+        for r in range(max(0, row - beside), min(cells, row + beside + 1)):
+            for c in range(max(0, column - beside), min(cells, column + beside + 1)):
                 depth = depths[face, r, c]
                 if depth > 0.0:
                     around += 1
                     stopped = stopped or depth < distance + behind
-        passed[i] = around >= least and not stopped
+        passed[i] = around >= least * (2 * beside + 1) ** 2 and not stopped
     return passed
 
 
@@ -90,18 +92,19 @@ class Rays:
             cells = int(np.clip(np.ceil(2.0 * middle_m / _CELL_M), _SMALLEST_CELLS, _MOST_CELLS))
             self._maps.append((origin, _nearest(_plain(hits), origin, cells)))
 
-    def through(self, points: Float32) -> Bool:
-        """Tell which points (N, 3) some ray passed through, (N,)."""
+    def through(self, points: Float32, beside: int) -> Bool:
+        """Tell which points (N, 3) some ray passed through, and no ray was stopped so many cells beside them, (N,)."""
         passed: Bool = np.zeros(len(points), np.bool_)
         for origin, depths in self._maps:
             if len(points):
-                passed |= _passed(_plain(points), origin, depths, PASSED_M, _LEAST_AROUND)
+                passed |= _passed(_plain(points), origin, depths, PASSED_M, beside, _LEAST_AROUND)
         return passed
 
     def left_of(self, picture: Picture) -> Picture:
         """Return an older picture without the points that these rays passed through."""
         scene = picture.scene
-        passed = [self.through(points) for points in (scene.leaf_points, scene.stem_points, scene.fruit_points)]
+        passed = [self.through(scene.leaf_points, _AROUND_LEAF)]
+        passed += [self.through(points, _AROUND_STEM) for points in (scene.stem_points, scene.fruit_points)]
         if not any(part.any() for part in passed):
             return picture
         return dataclasses.replace(picture, scene=subset(scene, *(~part for part in passed), reason="passed_through"))
