@@ -29,6 +29,8 @@ DAMAGE_COLUMNS = (
     "tool_leaf_contact_m",
     "leaves_at_goal",
 )
+#: Plants with seeds from here on were used to choose nothing.
+OTHER_PLANTS = 1000
 #: Marks between which improvements of a curve are dropped: times [s] and numbers of checks.
 _TIMES = np.geomspace(0.01, 100.0, 41)
 _CHECKS = np.geomspace(100.0, 1e8, 49)
@@ -165,7 +167,12 @@ def restore(data: Mapping[str, Any]) -> Results:
 def name_of(results: Mapping[str, Any]) -> str:
     """Name of the file in which results are kept, without its ending."""
     name = str(results["experiment"]).removeprefix("bench ")
-    return f"{name}-fcl" if name == "lime" and results["options"]["checker"] == "fcl" else name
+    options = results.get("options", {})
+    if name == "lime" and options.get("checker") == "fcl":
+        return f"{name}-fcl"
+    if name == "hidden" and options.get("densities") == ["thicket"]:
+        return f"{name}-thicket"
+    return f"{name}-others" if name == "hidden" and options.get("first_plant", 0) >= OTHER_PLANTS else name
 
 
 def read(path: Path) -> Results:

@@ -177,6 +177,26 @@ def test_leaves_touched_by_hand() -> None:
         assert row[3].split()[0] == f"{100 * np.mean(shares['all']):.1f}"
 
 
+def test_hidden_stems_by_hand() -> None:
+    trials = [t for t in kept("hidden")["trials"] if t["target"] is not None]
+    rows = {row[0]: row for row in rows_of("hidden.free")}
+    for method, words in (("one", "one view, as seen"), ("looks", "one view and planned looks")):
+        sent = [m for t in trials if (m := t["methods"][f"{method}-free"])["status"] == "SUCCEEDED"]
+        assert rows[words][3] == f"{sum(m['stems'] > 0 for m in sent)} of {len(sent)}"
+        assert float(rows[words][6]) == pytest.approx(np.mean([m["leaves"] for m in sent]), abs=0.006)
+    sent = [m for t in trials for name, m in t["methods"].items() if "full" not in name and m["status"] == "SUCCEEDED"]
+    # What the prose says: motions that are seen but for a tenth of a radian touch nothing, those with more of it the likelier.
+    shares = [
+        np.mean([m["stems"] > 0 for m in sent if low < m["unseen_contact_rad"] <= high]) for low, high in ((-1, 0.1), (0.1, 0.3), (0.3, 99))
+    ]
+    assert shares[0] == 0.0 < shares[1] < shares[2]
+    assert [row[3] for row in rows_of("hidden.unseen")][2:] == [f"{100 * share:.0f} %" for share in shares[1:]]
+    price, looks = (next(float(r[7]) for w, r in rows.items() if w.startswith(name)) for name in ("one view, unseen", "one view and"))
+    assert price < 0.25 * float(rows["one view, as seen"][7]) and looks < 0.02
+    reached = [float(rows[w][2].partition("(")[2].split()[0]) for w in rows]
+    assert min(reached) >= 90.0, "looks cost no limes"
+
+
 def test_lead_over_peers_by_hand() -> None:
     data = kept("peers")
     ahead = 0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from pathlib import Path
 
@@ -11,10 +12,11 @@ from arm_helpers import pipeline_of, plant, robot_named, settings
 
 from benchmarks.results_page.kept_results import keep, restore
 from lime_planner.core.errors import ParameterError
-from lime_planner.experiments.hidden import report
-from lime_planner.experiments.hidden.trials import HiddenOptions, arm_points, plan_of, run_trial, tasks_of
+from lime_planner.experiments.hidden import report, trials
+from lime_planner.experiments.hidden.trials import HiddenOptions, arm_points, fixed_views, plan_of, run_trial, tasks_of
 from lime_planner.experiments.swept_leaves import surface_of
 from lime_planner.experiments.swept_stems import StemTruth
+from lime_planner.pipeline.pipeline import Pipeline
 from lime_planner.pipeline.targets import fruit_target
 from lime_planner.robot.model import home
 from lime_planner.scene.scene import Scene
@@ -73,20 +75,42 @@ def entry(stems: int, status: str = "SUCCEEDED", **values: float) -> dict[str, o
 
 def test_tables_count_motions_that_touch() -> None:
     """Ten limes on five plants: nine motions sent of the ten, three touch; full knowledge reaches eight of the same."""
-    trials = []
+    records = []
     for k in range(10):
         methods = {
             "full-free": entry(0, "SUCCEEDED" if k < 8 else "NO_PATH", leaves=1),
             "looks-free": entry(7 if k < 3 else 0, "SUCCEEDED" if k else "TIMED_OUT"),
         }
-        trials.append({"scene": f"dense-{k // 2}", "density": "dense", "number": k % 2, "target": k, "methods": methods})
+        records.append({"scene": f"dense-{k // 2}", "density": "dense", "number": k % 2, "target": k, "methods": methods})
     options = {"methods": {"full-free": 0.3, "looks-free": 0.3}, "densities": ["dense"], "first_plant": 0, "time_s": 0.5, "max_looks": 3}
-    results = {"options": options, "trials": trials}
-    found = report.touching(trials, "looks-free")
+    results = {"options": options, "trials": records}
+    found = report.touching(records, "looks-free")
     assert found.value == pytest.approx(2 / 9) and found.low <= found.value <= found.high
-    none = report.touching(trials, "full-free")
+    none = report.touching(records, "full-free")
     assert (none.value, none.low) == (0.0, 0.0) and none.high == pytest.approx(1.0 - 0.025 ** (1 / 8)), "eight motions without one"
-    assert report.reached(trials, "looks-free", "full-free").value == pytest.approx(7 / 8)
-    assert report.leaves_ratio(trials, "looks-free", "full-free").value == pytest.approx(2.0)
+    assert report.reached(records, "looks-free", "full-free").value == pytest.approx(7 / 8)
+    assert report.leaves_ratio(records, "looks-free", "full-free").value == pytest.approx(2.0)
     row = report.table(results, "free").splitlines()[-1]
     assert "| 9 of 10 (88 %) | 2 of 9 |" in row and "1 TIMED_OUT" in report.failures(results)
+    # What was sent without full knowledge: all with 0.1 rad unseen, three of nine touch.
+    assert [line.split(" | ")[1:3] for line in report.by_unseen(results).splitlines()[2:]] == [
+        ["0", "0"],
+        ["9", "2"],
+        ["0", "0"],
+        ["0", "0"],
+    ]
+
+
+def test_equal_plans_are_made_once_and_pictures_taken_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two methods with the same knowledge and settings share the first plan; the fixed views of a plant are the same for all its limes."""
+    options = HiddenOptions(plants=1, limes=2, densities=("sparse",), first_plant=4, iterations=300, max_looks=0)
+    tasks = tasks_of(options)
+    assert fixed_views(tasks[0].scene, 0) is fixed_views(tasks[1].scene, 0)
+    plans, taken = [], []
+    monkeypatch.setattr(Pipeline, "plan", lambda self, *a, _plan=Pipeline.plan, **k: plans.append(1) or _plan(self, *a, **k))
+    monkeypatch.setattr(trials, "take_picture", lambda *a, _take=trials.take_picture, **k: taken.append(1) or _take(*a, **k))
+    for task in tasks:
+        both = dataclasses.replace(task, options=dataclasses.replace(options, methods=("priced-free", "looks-free", "one-free")))
+        record = run_trial(both)["methods"]
+        assert record["priced-free"] == record["looks-free"] and record["one-free"]["stems_known"] == record["priced-free"]["stems_known"]
+    assert (len(plans), len(taken)) == (4, 1), "two limes, two plans each; one view of the plant"

@@ -16,6 +16,7 @@ Results = dict[str, Any]
 Trials = list[dict[str, Any]]
 
 ALL = "all plants"
+UNSEEN_STEPS_RAD = (0.02, 0.1, 0.3)  #: between groups of motions, by how much of their path is unseen
 APPROACHES = {"fixed": "one drawn grasp pose", "free": "the fruit, approach free"}
 
 
@@ -107,6 +108,23 @@ def table(results: Results, approach: str, density: str = ALL) -> str:
     return markdown_table(head, rows)
 
 
+def by_unseen(results: Results) -> str:
+    """How many motions touch a real stem, by how much of their path lies in unseen space; all methods but full knowledge."""
+    sent = [
+        (m["unseen_contact_rad"], m["stems"] > 0)
+        for t in trials_of(results)
+        for method, m in t["methods"].items()
+        if m["status"] == "SUCCEEDED" and not method.startswith("full-")
+    ]
+    rows, low = [], -1.0
+    for high in (*UNSEEN_STEPS_RAD, float("inf")):
+        own = [hit for unseen, hit in sent if low < unseen <= high]
+        words = f"up to {high:g} rad" if low < 0.0 else f"{low:g} to {high:g} rad" if high < float("inf") else f"more than {low:g} rad"
+        rows.append([words, str(len(own)), str(sum(own)), f"{100.0 * float(np.mean(own)):.0f} %" if own else "–"])
+        low = high
+    return markdown_table(["of the path in unseen space", "motions", "touch a real stem", ""], rows)
+
+
 def verdict(results: Results) -> str:
     """What planned looks, with the approach free, come to."""
     full, method, trials = "full-free", "looks-free", trials_of(results)
@@ -148,4 +166,4 @@ def table_text(results: Results) -> str:
         if any(m.partition(":")[0].endswith(f"-{approach}") for m in results["options"]["methods"]):
             parts += [f"## {words[0].upper()}{words[1:]}", table(results, approach)]
             parts += [f"### {density}\n\n{table(results, approach, density)}" for density in results["options"]["densities"]]
-    return "\n\n".join([*parts, verdict(results), "## Not reached", failures(results)]) + "\n"
+    return "\n\n".join([*parts, by_unseen(results), verdict(results), "## Not reached", failures(results)]) + "\n"
