@@ -199,7 +199,7 @@ class NodeSettings:
     progress_timeout_s: float = _row(5.0, "Stop a motion whose arm has not come on along its path for this long: slow, paused and resumed controllers are waited for.", "s", 0.2, 3600.0)
     goal_tolerance_rad: float = _row(0.02, "A motion has succeeded when the arm rests this close to its last point.", "rad", 0.0005, 0.5)
     goal_time_s: float = _row(2.0, "How long the arm may take to come to rest there once the end of the path is near and the motion should be over.", "s", 0.1, 60.0)
-    replan_attempts: int = _row(0, "How often `~/plan` plans again from rest after a motion was stopped by a new stem or a deviation.", "", 0, 10)
+    replan_attempts: int = _row(0, "How often `~/plan` plans again from rest after a motion was stopped by a new stem or a deviation; where no way leads on, back out first.", "", 0, 10)
     deadline_s: float = _row(0.0, "Give a request up as TIMED_OUT after this long, certificate and last checks included; what waits for rest or compiles before does not count; 0: off.", "s", 0.0, 600.0)
     viewer_port: int = _row(0, "Port of the 3-D page; 0: off.", "", 0, 65535, read_only=True)
     viewer_host: str = _row("127.0.0.1", "Address that the 3-D page is served at; elsewhere it is for looking only, unless LIME_PLANNER_VIEWER_TOKEN is set.", read_only=True)

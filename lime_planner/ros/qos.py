@@ -18,6 +18,8 @@ def _profile(depth: int, reliability: ReliabilityPolicy, durability: DurabilityP
 
 #: Clouds and targets: nothing is lost on the way, only the newest counts.
 NEWEST = _profile(1, ReliabilityPolicy.RELIABLE, DurabilityPolicy.VOLATILE)
+#: Clouds: as several cameras on one topic send them at the same moment.
+CLOUDS = _profile(4, ReliabilityPolicy.RELIABLE, DurabilityPolicy.VOLATILE)
 #: Joint states: best effort matches reliable publishers too.
 JOINT_STATES = _profile(10, ReliabilityPolicy.BEST_EFFORT, DurabilityPolicy.VOLATILE)
 #: The motion command is never latched: a controller that starts later must not carry out an old motion.

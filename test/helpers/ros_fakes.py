@@ -92,13 +92,17 @@ def result(start: np.ndarray, goal: np.ndarray, duration_s: float = 0.5, T_base_
 
 
 class FakePipeline:
-    """Plans by moving every joint by the target's x; a target with y = 8 takes a while, y = 9 for ever, z below 0 is out of reach."""
+    """Plans by moving every joint by the target's x; a target with y = 8 takes a while, y = 9 for ever, z below 0 is out of reach.
+
+    With 77 stem points there is a path only from where the last plan began.
+    """
 
     def __init__(self, robot: FakeRobot, warm_up_s: float = 0.0, plan_s: float = 0.05, duration_s: float = 0.5) -> None:
         self.robot = robot
         self.warm_up_s = warm_up_s
         self.plan_s = plan_s
         self.duration_s = duration_s
+        self.began_at = START
 
     def warm_up(self) -> None:
         time.sleep(self.warm_up_s)
@@ -113,9 +117,12 @@ class FakePipeline:
         deadline = time.monotonic() + {8.0: 0.6, 9.0: 60.0}.get(float(T_base_tool[1, 3]), self.plan_s)
         while time.monotonic() < deadline and not should_stop():
             time.sleep(0.002)
+        nothing = np.empty((0, 3)), None, np.empty((0, 7)), np.empty(0)
+        if len(scene.stem_points) == 77 and np.abs(np.asarray(q_start) - self.began_at).max() > 0.02:
+            return FakeResult(Status.NO_PATH, "NO_PATH: stems all around", *nothing, seed, T_base_tool, target=aim)
         if T_base_tool[2, 3] < 0.0:
-            nothing = np.empty((0, 3)), None, np.empty((0, 7)), np.empty(0)
             return FakeResult(Status.NO_IK_SOLUTION, "NO_IK_SOLUTION: out of reach", *nothing, seed, T_base_tool, target=aim)
+        self.began_at = np.array(q_start)
         return dataclasses.replace(result(q_start, q_start + T_base_tool[0, 3], self.duration_s, T_base_tool), target=aim)
 
     def recheck(self, plan: FakeResult, scene: Any, q: np.ndarray, settings: Any, *, should_stop: Any) -> tuple[Status, str]:

@@ -147,7 +147,7 @@ class Bench:
         self.connect_controller()
         self.clients = {
             name: self.node.create_client(Trigger, f"{planner}/{name}", qos_profile=qos.SERVICE)
-            for name in ("plan", "plan_and_wait", "preview", "execute", "retreat", "stop")
+            for name in ("plan", "plan_and_wait", "look", "preview", "execute", "retreat", "stop")
         }
         self.clients["preview_to"] = self.node.create_client(GetPlan, f"{planner}/preview_to")
         self._set_parameters = self.node.create_client(SetParameters, f"{planner}/set_parameters")

@@ -37,7 +37,7 @@ class Motion:
         T_base_tool: the target it leads to, or on a retreat away from, (4, 4).
         replans_left: how often it may be planned again if it is aborted.
         target: the target of its request, as it came in.
-        look: whether it leads to a view, from which its request goes on.
+        look: whether its request goes on from its end: it leads to a view, or back out.
         simulated: a simulation's time now [s], by which its controller goes; None without one.
         simulated_start_s: that time at sending.
         follower: how far the arm has come, by what was measured.

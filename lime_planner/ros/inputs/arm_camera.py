@@ -65,7 +65,7 @@ class ArmCamera:
             raise Refusal(Status.TF_ERROR, f"no link of the arm is known to carry camera_frame {self.frame!r}; {place}")
         if carried.joint != self.robot.n:
             last = self.robot.joint_names[-1]
-            sentence = f"camera_frame {self.frame!r} is on {carried.link}, which {last} moves the tool against"
+            sentence = f"camera_frame {self.frame!r} is on {carried.link}, against which {last} moves the tool"
             raise Refusal(Status.TF_ERROR, f"{sentence}; views are chosen for cameras beyond the last joint")
         zero = np.zeros(self.robot.n)
         return np.asarray(np.linalg.inv(self.robot.forward(zero)) @ carried.at(self.robot, zero))

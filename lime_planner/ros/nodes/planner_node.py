@@ -180,7 +180,7 @@ class PlannerNode(Node):
         motion = ended.motion
         message = ended.status.message(ended.sentence)
         if motion.look:
-            self.get_logger().info(f"look of request {motion.plan_id}: {message}")
+            self.get_logger().info(f"motion on the way of request {motion.plan_id}: {message}")
             if not self.requests.look_ended(ended):
                 self.board.show(motion.plan_id, Phase.DONE)
             return

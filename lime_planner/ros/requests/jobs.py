@@ -11,17 +11,15 @@ from geometry_msgs.msg import PoseStamped
 
 from lime_planner.core.errors import Refusal
 from lime_planner.core.status import Status
-from lime_planner.motion.way_back import straight_back, way_back
 from lime_planner.pipeline.result import PlanResult
 from lime_planner.ros.convert import TargetMessage, read_target
 from lime_planner.ros.execution.motion import moves, on_turns_of
-from lime_planner.ros.execution.retreat import Path, nearest_turns
+from lime_planner.ros.execution.retreat import Path
 from lime_planner.ros.inputs.latest import Target
 from lime_planner.ros.model_loader import Loaded
 from lime_planner.ros.parameters import Snapshot
 from lime_planner.ros.requests.looking import Looked, LookSteps
 from lime_planner.ros.requests.parts import PlannedRequest
-from lime_planner.ros.requests.status_board import Phase
 from lime_planner.ros.requests.steps import figures_of
 from lime_planner.ros.requests.worker import Answer, RequestContext, Ticket, deadline
 
@@ -29,6 +27,8 @@ Outcome = TypeVar("Outcome")
 
 #: How often a plan is made at most: again when the arm had moved, or a stem was seen on the path, before it could be sent.
 _SENDING_ATTEMPTS = 2
+#: Outcomes of a plan from where a motion was stopped that may be better from where it began.
+_STUCK = (Status.NO_PATH, Status.TIMED_OUT, Status.PATH_INVALID, Status.GOAL_IN_STEM, Status.UNSEEN, Status.LEAF_BUDGET_EXCEEDED)
 
 
 class Requests(LookSteps):
@@ -66,9 +66,13 @@ class Requests(LookSteps):
         with self._ready(ticket, snapshot) as loaded:
             self._come_to_rest(ticket, snapshot)
             looks: list[Looked | None] = []
+            may_back_out = ticket.kind == "replan"
             with deadline(ticket, snapshot.node.deadline_s) as left_s:
                 for attempt in range(1, _SENDING_ATTEMPTS + 1):
                     planned = self._planned(ticket, loaded, snapshot, self._target(ticket, snapshot), left_s, looks=len(looks))
+                    if may_back_out and planned.record.result.status in _STUCK and self._back_out(ticket, loaded, snapshot):
+                        may_back_out = False
+                        planned = self._planned(ticket, loaded, snapshot, self._target(ticket, snapshot), left_s, looks=len(looks))
                     planned = self._look_until_enough(ticket, loaded, snapshot, planned, left_s, looks)
                     if planned.record.result.status is not Status.SUCCEEDED:
                         return _answer_of(planned.record.result)
@@ -167,17 +171,8 @@ class Requests(LookSteps):
             if path.target is not None:
                 self._note_target(ticket, path.target)
             with deadline(ticket, snapshot.node.deadline_s):
-                arm = self._arm_at_start(snapshot)
-                waypoints = way_back(nearest_turns(path.waypoints, arm.q, loaded.robot.continuous), arm.q)
-                number = self._source.newest_stem_number()
-                scene = self._source.scene(snapshot, ticket.should_stop)
-                self._show_phase(ticket, Phase.PLANNING)
-                aim, should_stop = path.aim, ticket.should_stop
-                straight = straight_back(path.straight_from, waypoints)
-                result = self._guarded(
-                    lambda: loaded.pipeline.follow(waypoints, scene, aim, snapshot.plan, straight=straight, should_stop=should_stop)
-                )
-                planned = self._record(scene, None, result, snapshot, number)
+                planned = self._planned_back(ticket, loaded, snapshot, path)
+                result = planned.record.result
                 self._present(ticket, planned)
                 if result.status is not Status.SUCCEEDED:
                     return _answer_of(result)

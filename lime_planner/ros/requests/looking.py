@@ -167,12 +167,44 @@ class LookSteps(RequestSteps):
         if look is None:
             return None
         record = dataclasses.replace(planned.record, number=next(self._numbers), target=None, result=look.plan)
-        since_s = self._go_and_rest(ticket, loaded, snapshot, dataclasses.replace(planned, record=record))
+        since_s = self._go_and_rest(ticket, loaded, snapshot, dataclasses.replace(planned, record=record), "to a view")
         self._await_clouds(ticket, snapshot, since_s)
         return _judged(pipeline, look, scene, self._source.scene(snapshot, ticket.should_stop), matter)
 
-    def _go_and_rest(self, ticket: Ticket, loaded: Loaded, snapshot: Snapshot, planned: PlannedRequest) -> float:
-        """Carry out the motion to a view; return since when the arm has rested there [s, monotonic]."""
+    def _back_out(self, ticket: Ticket, loaded: Loaded, snapshot: Snapshot) -> bool:
+        """Go back along the motion executed last, as far as the arm got, because no plan leads on from here; tell whether that was done.
+
+        Raises:
+            Refusal: how the motion ended if not where that one began.
+        """
+        path = self._execution.way_out.path
+        if path is None or not (snapshot.node.motion_enabled and self._parameters.snapshot.node.motion_enabled):
+            return False
+        try:
+            planned = self._planned_back(ticket, loaded, snapshot, path)
+        except Refusal as refusal:
+            if refusal.status in (Status.NOTHING_TO_EXECUTE, Status.START_INVALID):  # it is at the beginning already, or elsewhere
+                return False
+            raise
+        if planned.record.result.status is not Status.SUCCEEDED:
+            return False
+        self._go_and_rest(ticket, loaded, snapshot, planned, "back out", out=True)
+        return True
+
+    def _go_and_rest(
+        self, ticket: Ticket, loaded: Loaded, snapshot: Snapshot, planned: PlannedRequest, where: str, *, out: bool = False
+    ) -> float:
+        """Carry out a motion from which the request goes on; return since when the arm has rested at its end [s, monotonic].
+
+        Args:
+            ticket, loaded, snapshot: of the request.
+            planned: the motion.
+            where: it leads to, for sentences.
+            out: whether it goes back along the one before.
+
+        Raises:
+            Refusal: how it ended if not there; CANCELLED; see `Execution.send`.
+        """
         plan = planned.record.result
         assert plan.trajectory is not None  # every plan that succeeded has one
         if not moves(plan.trajectory):
@@ -185,22 +217,23 @@ class LookSteps(RequestSteps):
             ticket.plan_id, plan, plan.trajectory, snapshot, ticket.is_open, T_base_tool=plan.T_base_tool, look=True
         )
         if motion is None:
-            raise Refusal(Status.CANCELLED, "the request was answered before the motion to a view could be sent")
+            raise Refusal(Status.CANCELLED, f"the request was answered before the motion {where} could be sent")
         self.previewed = None
-        self._execution.way_out.went(Path(plan.waypoints, None, None, None), loaded.robot.continuous)
+        if not out:
+            self._execution.way_out.went(Path(plan.waypoints, None, None, None), loaded.robot.continuous)
         if self._source.newest_stem_number() != number:
             self._watch.notice()
         self._show_phase(ticket, Phase.EXECUTING)
         while not awaited.done.wait(_POLL_S):
             answer = ticket.given
             if answer is not None:
-                self._execution.stop_motion(motion, answer.status, f"the request of this look is over: {answer.sentence}")
+                self._execution.stop_motion(motion, answer.status, f"its request is over: {answer.sentence}")
                 raise Refusal(Status.CANCELLED, "the request was stopped")
         self._show_phase(ticket, Phase.PLANNING)
         ended = awaited.ended
         assert ended is not None
         if ended.status is not Status.SUCCEEDED:
-            raise Refusal(ended.status, f"on the way to a view, {ended.sentence}")
+            raise Refusal(ended.status, f"on the way {where}, {ended.sentence}")
         return time.monotonic() - snapshot.node.stillness_time_s
 
     def _await_clouds(self, ticket: Ticket, snapshot: Snapshot, since_s: float) -> None:

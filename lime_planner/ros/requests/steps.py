@@ -14,10 +14,12 @@ import numpy as np
 from lime_planner.core.errors import LimePlannerError, Refusal
 from lime_planner.core.geometry import matrix_to_pose
 from lime_planner.core.status import Status
+from lime_planner.motion.way_back import straight_back, way_back
 from lime_planner.pipeline.plan_record import PlanRecord
 from lime_planner.pipeline.result import PlanResult
 from lime_planner.pipeline.targets import Target as Aim
 from lime_planner.pipeline.targets import pose_target
+from lime_planner.ros.execution.retreat import Path, nearest_turns
 from lime_planner.ros.inputs.joint_states import ArmState
 from lime_planner.ros.inputs.latest import Target
 from lime_planner.ros.model_loader import Loaded
@@ -125,6 +127,23 @@ class RequestSteps:
         planned = self._record(scene, target, dataclasses.replace(result, looks=looks) if looks else result, snapshot, number)
         self._present(ticket, planned, inputs_s=decode_s, request_s=time.monotonic() - began_s)
         return planned
+
+    def _planned_back(self, ticket: Ticket, loaded: Loaded, snapshot: Snapshot, path: Path) -> PlannedRequest:
+        """Plan the way back along a motion that was executed, as far as the arm got.
+
+        Raises:
+            Refusal: NOTHING_TO_EXECUTE, the arm is at the beginning; START_INVALID, it is elsewhere; that of an input.
+        """
+        arm = self._arm_at_start(snapshot)
+        waypoints = way_back(nearest_turns(path.waypoints, arm.q, loaded.robot.continuous), arm.q)
+        number = self._source.newest_stem_number()
+        scene = self._source.scene(snapshot, ticket.should_stop)
+        self._show_phase(ticket, Phase.PLANNING)
+        straight, should_stop = straight_back(path.straight_from, waypoints), ticket.should_stop
+        result = self._guarded(
+            lambda: loaded.pipeline.follow(waypoints, scene, path.aim, snapshot.plan, straight=straight, should_stop=should_stop)
+        )
+        return self._record(scene, None, result, snapshot, number)
 
     @staticmethod
     def _aim(aim: Aim, snapshot: Snapshot) -> Aim:

@@ -12,6 +12,7 @@ from lime_planner.core.errors import Refusal
 from lime_planner.core.geometry import matrix_to_pose
 from lime_planner.pipeline.targets import Target
 from lime_planner.robot.model import Robot
+from lime_planner.ros.inputs.arm_camera import ArmCamera
 from lime_planner.ros.inputs.latest import TARGETS
 from lime_planner.ros.inputs.scene_source import SceneSource
 from lime_planner.ros.parameters import Snapshot
@@ -65,6 +66,7 @@ def record(listener: Listener, snapshot: Snapshot, robot: Robot, *, wait_s: floa
     heard: list[str] = []
     missing: list[str] = []
     source = SceneSource(inputs, listener.frames, robot.planning_frame, make_arm_filter(robot), fixed_frame=node.fixed_frame)
+    source.camera = ArmCamera(robot, node.camera_frame, listener.frames) if node.camera_frame else None
     try:
         scene = source.scene(snapshot, lambda: False)
     except Refusal as refusal:

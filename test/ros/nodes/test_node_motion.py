@@ -278,6 +278,33 @@ def test_it_plans_again_after_an_abort_if_told_to(bench: Bench) -> None:
     bench.wait(lambda: any(s.get("kind") == "replan" and s["phase"] == "EXECUTING" for s in list(bench.statuses)), 5.0, "another plan")
 
 
+def test_where_no_plan_leads_on_it_goes_back_out_and_plans_from_there(bench: Bench) -> None:
+    bench.set(replan_attempts=1)
+    began = bench.q.copy()
+    number = plan_id(bench.call("plan").message)
+    time.sleep(0.5)
+    bench.send_clouds(None, cloud(99))
+    bench.wait(lambda: len(bench.commands) == 2, 2.0, "the stop")
+    bench.send_clouds(None, cloud(77))
+    assert execution_code(bench, number) == "STEM_APPEARED"
+    bench.wait(lambda: len(bench.commands) == 4, 10.0, "the way out, and the plan from there")
+    out, again = (bench.commands[k][1].points for k in (2, 3))
+    assert np.abs(np.array(out[-1].positions) - began).max() < 0.02 < np.abs(np.array(out[0].positions) - began).max()
+    assert np.abs(np.array(again[0].positions) - began).max() < 0.02
+    bench.wait(
+        lambda: any(s.get("kind") == "replan" and s.get("execution_code") == "SUCCEEDED" for s in list(bench.statuses)), 10.0, "its end"
+    )
+
+
+def test_a_look_needs_a_camera(bench: Bench) -> None:
+    answer = bench.call("look")
+    assert answer.message.startswith("BAD_INPUT: there is no camera to look with: camera_frame names the frame of one that the arm carries")
+    assert not bench.commands
+    bench.set(look_first=True)
+    assert bench.call("plan").message.startswith("BAD_INPUT: there is no camera to look with")
+    bench.set(look_first=False)
+
+
 def test_after_a_stop_it_does_not_plan_again_by_itself(bench: Bench) -> None:
     bench.set(replan_attempts=1)
     number = plan_id(bench.call("plan").message)
