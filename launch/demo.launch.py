@@ -1,6 +1,7 @@
 """A generated lime plant (or a scene file), a mock arm and the planner, on this machine only.
 
 ros2 launch lime_planner demo.launch.py [scene:=file.npz] [seed:=7] [controller:=jtc|kinova] [robot:=kinova_j2s6s200] [rviz:=true]
+ros2 launch lime_planner demo.launch.py camera:=all look_first:=true   # as depth cameras see it, one of them on the arm
 ros2 service call /lime_planner/plan std_srvs/srv/Trigger
 """
 
@@ -27,12 +28,17 @@ def _nodes(context):
     namespace, simulated = given("namespace"), {"use_sim_time": flag("use_sim_time", given("use_sim_time"))}
     arm = {"robot": text("robot"), "controller": text("controller"), **simulated}
     scene = {"file": text("scene"), "seed": int(given("seed")), "density": text("density"), **simulated}
+    camera, looking = given("camera"), {}
+    if camera:
+        scene |= {"camera": text("camera"), "labelled": True, "robot": text("robot")}
+    if camera in ("wrist", "all"):  # the scene node tells on /tf_static where its cameras are
+        looking = {"camera_frame": "wrist_camera", "look_first": flag("look_first", given("look_first"))}
     levels = {name: log_arguments(name, namespace, given("log_level")) for name in ("scene", "mock_arm", "lime_planner")}
     common = {"package": "lime_planner", "namespace": namespace, "output": "screen"}
     nodes = [
         Node(executable="scene_node", parameters=[scene], arguments=levels["scene"], **common),
         Node(executable="mock_arm_node", parameters=[arm], arguments=levels["mock_arm"], **common),
-        Node(executable="planner_node", parameters=[arm], arguments=levels["lime_planner"], **common),
+        Node(executable="planner_node", parameters=[arm | looking], arguments=levels["lime_planner"], **common),
     ]
     if flag("rviz", given("rviz")):
         rviz = ["-d", str(SHARE / "rviz" / "lime_planner.rviz")]
@@ -48,6 +54,10 @@ def generate_launch_description():
         DeclareLaunchArgument("density", default_value="medium", description="Foliage: sparse, medium or dense."),
         DeclareLaunchArgument("robot", default_value="kinova_j2s6s200", description="kinova_j2s6s200 or kinova_j2n6s300."),
         DeclareLaunchArgument("controller", default_value="jtc", description="What the mock arm imitates: jtc or kinova."),
+        DeclareLaunchArgument(
+            "camera", default_value="", description="Who sees the plant: wrist, fixed or all depth cameras; empty: every point."
+        ),
+        DeclareLaunchArgument("look_first", default_value="false", description="Look with the camera on the arm before a reach."),
         DeclareLaunchArgument("namespace", default_value="", description="Namespace of the nodes and their topics."),
         DeclareLaunchArgument("log_level", default_value="info", choices=LOG_LEVELS, description="Of these nodes alone."),
         DeclareLaunchArgument("use_sim_time", default_value="false", description="Take the time from /clock."),

@@ -29,7 +29,7 @@ CURES = {
     Status.NO_PATH: "More `iterations`, another start, or another approach.",
     Status.TIMED_OUT: "More `time_budget_s`, another start, or another approach.",
     Status.LEAF_BUDGET_EXCEEDED: "Raise `max_leaf_contact_rad` above the contact named, or approach from another side.",
-    Status.UNSEEN: "Look at the plant from another side (more views), raise `unseen_price`, or raise `max_unseen_contact_rad` above the length named.",
+    Status.UNSEEN: "Look at the plant from another side (more views; `~/look` or `look_first` with a camera on the arm), raise `unseen_price`, or raise `max_unseen_contact_rad` above the length named.",
     Status.PATH_INVALID: "Ask again (another seed). If it stays: more `stem_margin_m`; after a preview, plan again, because the scene has changed.",
     Status.PREEMPTED: "Nothing: the newer request has its own answer.",
     Status.CANCELLED: "Nothing: somebody called `~/stop`, or pressed Ctrl-C.",

@@ -149,7 +149,7 @@ class PlannerNode(Node):
 
     def _open_inputs(self, robot: str) -> None:
         self._subscriptions_by_offer = [
-            qos.AdaptiveSubscription(self, PointCloud2, name, qos.NEWEST, self._safely(partial(self._on_cloud, name))) for name in CLOUDS
+            qos.AdaptiveSubscription(self, PointCloud2, name, qos.CLOUDS, self._safely(partial(self._on_cloud, name))) for name in CLOUDS
         ]
         self._subscriptions_by_offer += [
             qos.AdaptiveSubscription(self, kind, name, qos.NEWEST, self._safely(self._on_target)) for name, kind in TARGETS.items()
