@@ -13,6 +13,9 @@ from lime_planner.ros.inputs.view_memory import Waiting
 from lime_planner.scene.scene import Scene
 from lime_planner.scene.views.fused import Picture, add_picture, fused
 
+FROM_ONE_PLACE = 2  #: pictures of a camera from one place: the newest, and one before something may have hidden the plant
+MOST_PICTURES = 16  #: beyond that the oldest of the camera with most of them goes: each takes some hundredths of a second in every plan
+
 #: Where the planning frame of a cloud's stamp is in that of now, (4, 4); None where it has not moved. Raises where nobody can tell.
 Moved = Callable[[Waiting], Array | None]
 
@@ -55,6 +58,12 @@ class KnownViews:
         place = sum(known.picture.taken_s <= cloud.taken_s for known in self._known)
         whole = [*self._known[:place], newer, *self._known[place:]]
         self._known = [dataclasses.replace(known, picture=picture) for known, picture in zip(whole, pictures, strict=True)]
+        alike = [known for known in self._known if known.cloud.frame == cloud.frame and known.cloud.near(cloud)]
+        for known in alike[:-FROM_ONE_PLACE]:
+            self._known.remove(known)
+        while len(self._known) > MOST_PICTURES:
+            frames = [known.cloud.frame for known in self._known]
+            del self._known[frames.index(max(frames, key=frames.count))]
 
     def forget(self, before_s: float, keep: Callable[[Waiting], bool] = lambda _: True) -> None:
         """Forget pictures taken before a time [s], and those that are not to be kept."""
