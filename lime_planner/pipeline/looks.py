@@ -41,6 +41,7 @@ NEXT_BEST = 0.5  #: views that show less than this share of what the best one do
 AROUND_WAY_M = 0.01  #: voxels this close to the arm on its way count as passed
 AROUND_TARGET_M = 0.12  #: without a way: the unseen space that matters, around the target
 ENTERED_RAD = 0.02  #: of a look's path in unseen space at most: the border of a voxel, not a way through
+LEAVING_RAD = 0.05  #: and more, where the arm stands in such space as it begins: what it fills holds nothing else
 
 _STEP_RAD = 0.05  # between configurations whose voxels are looked for
 _MOST_VOXELS = 300  # of the way, for which rays are cast
@@ -53,7 +54,7 @@ class Look:
     """A motion that carries the camera to a view.
 
     Attributes:
-        plan: the motion, certified; it stays out of unseen space.
+        plan: the motion, certified; it stays out of unseen space, but for leaving what the arm stands in.
         T_base_camera: (4, 4) of the view.
         share: of the unseen voxels that matter, which it would show.
         voxels: how many these are.
@@ -145,18 +146,22 @@ def plan_look(
         return None
     poses, shown = candidate_views(scene, pipeline.seen_map(scene), voxels, pipeline.robot.reach_m)
     good = int((shown >= NEXT_BEST * shown[0]).sum()) if len(shown) else 0
+    bare = pipeline.obstacles(scene, target.spot(scene, settings), settings, should_stop)
+    inside = bare.unseen is not None and bool(
+        touched_anywhere(pipeline.robot, pipeline.shapes, q_start, bare.unseen.fields.leaves, bare.unseen.leaf_radius).any()
+    )
     own = dataclasses.replace(
         settings,
         grasp_freedom="exact",
         approach_distance_m=0.0,
         min_approach_distance_m=0.0,
-        max_unseen_contact_rad=ENTERED_RAD,
+        max_unseen_contact_rad=ENTERED_RAD + (LEAVING_RAD if inside else 0.0),
         max_leaf_contact_rad=-1.0,
         unseen_price=max(settings.unseen_price, 10.0),
         time_budget_s=min(settings.time_budget_s, _SEARCH_S),
         iterations=min(settings.iterations, _ITERATIONS),
     )
-    obstacles = pipeline.obstacles(scene, target.spot(scene, settings), settings, should_stop).with_nothing_let_go(own)
+    obstacles = bare.with_nothing_let_go(own)
     T_camera_tool = np.linalg.inv(T_tool_camera)
     for first in range(0, good, MOST_VIEWS):
         if should_stop():

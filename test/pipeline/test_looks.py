@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 from arm_helpers import pipeline_of, plant, robot_named, settings
 
+from lime_planner.collision.touched_points import touched_anywhere
 from lime_planner.core.types import Array
-from lime_planner.pipeline.looks import ENTERED_RAD, T_TOOL_CAMERA, Look, candidate_views, plan_look, voxels_that_matter
+from lime_planner.pipeline.figures import sample_path
+from lime_planner.pipeline.looks import ENTERED_RAD, LEAVING_RAD, T_TOOL_CAMERA, Look, candidate_views, plan_look, voxels_that_matter
 from lime_planner.pipeline.result import PlanResult
 from lime_planner.pipeline.targets import pose_target
 from lime_planner.planning.space import one
@@ -161,3 +163,16 @@ def test_a_look_is_chosen_in_time() -> None:
         plan_look(pipeline_of(), partial(), pose_target(plant(5).target_pose), first_plan(), home(robot_named()), USED, seed=seed + 1)
         taken.append(time.process_time() - began)
     assert min(taken) < 0.45, taken
+
+
+def test_an_arm_that_stands_in_unseen_space_can_look_too() -> None:
+    """A little way into what no camera saw, on the way to the target: it may leave what it fills, and enters nothing else."""
+    target = pose_target(plant(5).target_pose)
+    rows, _ = sample_path(first_plan().waypoints, 0.01)
+    unseen = pipeline_of().obstacles(partial(), target.spot(partial(), USED), USED).unseen
+    assert unseen is not None
+    inside = [touched_anywhere(robot_named(), pipeline_of().shapes, q, unseen.fields.leaves, unseen.leaf_radius).any() for q in rows]
+    first = int(np.argmax(inside))
+    assert first > 0 and inside[first]
+    found = plan_look(pipeline_of(), partial(), target, first_plan(), rows[first], USED, seed=1)
+    assert found is not None and 0.0 < found.plan.unseen_contact_rad <= ENTERED_RAD + LEAVING_RAD
