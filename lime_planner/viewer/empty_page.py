@@ -33,9 +33,15 @@ class EmptyPage:
             self._advice = gui.add_markdown("")
             if not backend.opens:
                 return
-            grow = gui.add_button("Grow a lime plant", icon="plant-2", hint="A plant made from a random seed, to try the planner on")
+            grow = gui.add_button(
+                "Grow a lime plant", icon="plant-2", color="green", hint="A plant made from a random seed, to try the planner on"
+            )
             upload = gui.add_upload_button(
-                "Open a scene file", icon="folder-open", mime_type=",".join(_SUFFIXES), hint="Points with labels: leaf, stem, fruit"
+                "Open a scene file",
+                icon="folder-open",
+                color="gray",
+                mime_type=",".join(_SUFFIXES),
+                hint="Points with labels: leaf, stem, fruit",
             )
 
         @upload.on_upload

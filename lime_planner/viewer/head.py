@@ -17,13 +17,41 @@ _ICON = (
     "%3Cpath d='M16 6v20M6 16h20M9 9l14 14M23 9L9 23'/%3E%3C/g%3E%3C/svg%3E"
 )
 
-# The client takes its first colour scheme from this object. The tab's title follows the status line (`data-state`), and viser's own
-# warning about drawing by software, which hides a third of a phone's screen, closes by itself.
+# The client draws without pause. Where a frame takes long (no graphics card, a busy machine), it would leave no time for clicks and
+# messages: then the next one waits as long as the last one took. It takes in messages with its frames, of which a window that is behind
+# another gets none: a timer stands in for them. The client takes its first colour scheme from the object that is put
+# into the window. The tab's title follows the status line (`data-state`), and viser's own warning about drawing by software, which hides
+# a third of a phone's screen, closes by itself.
 _SCRIPT = """
 (() => {
+  const ask = requestAnimationFrame.bind(window), cancel = cancelAnimationFrame.bind(window), waiting = new Map();
+  let number = 0, pause_ms = 0;
+  window.requestAnimationFrame = (call) => {
+    const id = ++number;
+    const begin = () => {
+      const asked = performance.now(), held = {};
+      const run = (drawn) => (time) => {
+        window.cancelAnimationFrame(id);
+        call(time ?? performance.now());
+        const took_ms = performance.now() - asked;
+        pause_ms = drawn && took_ms > 80 ? Math.min(took_ms, 500) : 0;
+      };
+      held.frame = ask(run(true));
+      held.timer = setTimeout(run(false), 1000);
+      waiting.set(id, held);
+    };
+    if (pause_ms) waiting.set(id, {timer: setTimeout(begin, pause_ms)});
+    else begin();
+    return id;
+  };
+  window.cancelAnimationFrame = (id) => {
+    const held = waiting.get(id);
+    waiting.delete(id);
+    if (held?.timer) clearTimeout(held.timer);
+    if (held?.frame) cancel(held.frame);
+  };
   const dark = matchMedia("(prefers-color-scheme: dark)");
   window.__VISER_EMBED_CONFIG__ = {darkMode: dark.matches};
-  dark.addEventListener("change", () => location.reload());
   let seen = 0;
   setInterval(() => {
     const state = document.querySelector("[data-state]");
@@ -51,7 +79,7 @@ _STYLE = """
 .lp-table { width: calc(100% - 20px); margin: 2px 10px 4px; border-collapse: collapse; font-size: 0.84em;
   font-variant-numeric: tabular-nums; }
 .lp-table td, .lp-table th { padding: 1px 6px 1px 0; vertical-align: top; text-align: left; font-weight: normal; }
-.lp-table td:first-child, .lp-table th { color: var(--lp-soft); }
+.lp-table td:first-child, .lp-table th { color: var(--lp-soft); white-space: nowrap; }
 .lp-table td.n { text-align: right; white-space: nowrap; }
 .lp-table td.better { color: var(--lp-good); font-weight: bold; }
 .lp-legend { display: grid; grid-template-columns: 1fr 1fr; gap: 2px 10px; font-size: 0.8em; }
@@ -61,9 +89,15 @@ _STYLE = """
 .lp-plot .title { font-size: 11px; fill: currentColor; }
 .lp-plot .grid { stroke: var(--lp-line); stroke-width: 1; }
 .lp-plot .curve { fill: none; stroke-width: 1.8; }
+/* On a phone viser's sheet is a box in a corner; ours is as wide as the screen and leaves more than half of it to the scene. */
+@media (max-width: 36em) {
+  [style*="position: fixed"][style*="max-height: 60%"] { width: 100% !important; max-height: 46% !important; }
+  [style*="position: fixed"][style*="max-height: 60%"] [style*="width: 20em"] { width: 100vw !important; }
+}
 /* Three numbers in a row need their width for digits. */
 .mantine-Flex-root > .mantine-NumberInput-root .mantine-NumberInput-section { display: none; }
-.mantine-Flex-root > .mantine-NumberInput-root .mantine-NumberInput-input { padding-inline: 5px; }
+.mantine-Flex-root > .mantine-NumberInput-root .mantine-NumberInput-input {
+  padding-inline: 4px !important; font-size: 0.78em; letter-spacing: -0.02em; }
 """
 
 

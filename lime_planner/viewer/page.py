@@ -25,7 +25,7 @@ from lime_planner.viewer.access import Access
 from lime_planner.viewer.arm_controls import ArmControls
 from lime_planner.viewer.backend import Activity, Backend, Moment, Wishes
 from lime_planner.viewer.blocked import BlockedLayer
-from lime_planner.viewer.cameras import START, Cameras
+from lime_planner.viewer.cameras import START, Cameras, fit
 from lime_planner.viewer.controls import Commands, Controls, ask_before_moving
 from lime_planner.viewer.debug_layers import Extras
 from lime_planner.viewer.empty_page import EmptyPage
@@ -121,6 +121,7 @@ class Page:
             gui.add_html(words.legend())
         self._extras = Extras(server.scene, self._controls, self._note)
         server.scene.on_click()(self._on_scene_click)
+        server.on_client_connect(fit)
 
     def _build_between(self) -> None:
         """What stands between the buttons and how to search: the plan, its goal, the arm, and other plans."""
@@ -129,15 +130,19 @@ class Page:
         with self._along:
             self._player = Player(gui)
             self._plots = Plots(gui)
-        with gui.add_folder("Goal"):
+        # Before there is a scene, the way to one is all that there is.
+        self._of_scene = [gui.add_folder("Goal", visible=False)]
+        with self._of_scene[0]:
             self._goal = Goal(server.scene, gui)
             Cameras(gui, lambda: None if self._shown is None else self._shown.target)
-        with gui.add_folder("Arm", expand_by_default=False):
+        self._of_scene.append(gui.add_folder("Arm", expand_by_default=False, visible=False))
+        with self._of_scene[1]:
             place = self._backend.place
             self._arm_controls = ArmControls(
                 gui, places=self._backend.places, place=lambda q: self._note(lambda: place(q)), home=self._on_home, retreat=self._on_retreat
             )
-        with gui.add_folder("Plans", expand_by_default=False):
+        self._of_scene.append(gui.add_folder("Plans", expand_by_default=False, visible=False))
+        with self._of_scene[2]:
             self._history = History(gui, lambda: self._robot, self._pool)
 
     # -- notes from viser's threads -------------------------------------------------------------------------------------------
@@ -271,6 +276,8 @@ class Page:
                 self._plant = Plant(api, moment.scene, centre=np.zeros(3), reach_m=reach_m, on_lime=self._on_lime)
             self._scene = moment.scene
             self._goal.take(moment.scene)
+            for folder in self._of_scene:
+                folder.visible = moment.scene is not None
         self._goal.follow(moment.target)
         if self._arm is not None and moment.q is not None:
             self._arm.place(moment.q)

@@ -20,7 +20,7 @@ class Player:
         self._slider = gui.add_slider(
             "Time [s]", 0.0, 1.0, 0.01, 0.0, disabled=True, hint="The moment of the plan at which the blue ghost arm is drawn"
         )
-        self._button = gui.add_button("Play", icon="player-play", disabled=True, hint="Let the ghost arm go through the plan")
+        self._button = gui.add_button("Play", icon="player-play", color="gray", disabled=True, hint="Let the ghost arm go through the plan")
         self._speed = gui.add_dropdown("Speed", tuple(SPEEDS), initial_value="1 ×", hint="Of the ghost arm, against the real time")
         self._end_s = 0.0
         self._last = time.monotonic()

@@ -206,6 +206,46 @@ def test_reload_and_second_browser(browser: Browser, planned: Tab, served: Page)
     second.close()
 
 
+def test_a_refusal_is_red_and_stands_beside_a_plan(tab: Tab, backend: SceneBackend, served: Page) -> None:
+    scene, before = backend.moment().scene, backend.moment().shown
+    assert scene is not None and before is not None
+    stem = scene.stem_points[int(np.argmax(scene.stem_points[:, 2]))]
+    fields = tab._row("At [m]").locator("input")
+    for place, value in enumerate(stem):
+        fields.nth(place).fill(f"{value:.3f}")
+        fields.nth(place).press("Enter")
+    until(lambda: served._goal.changed == "this pose" and bool(np.allclose(served._goal.wish()[0][:3], stem, atol=6e-4)), "the pose")  # type: ignore[index]
+    tab.press("Plan")
+    tab.sees("Refused: ")
+    colour = tab.page.locator(".lp-status.refused b").evaluate("e => getComputedStyle(e).color")
+    red, green, blue = (int(part) for part in colour.removeprefix("rgb(").removesuffix(")").split(","))
+    assert red > green + 60 and red > blue + 60
+    tab.page.wait_for_function("document.title.startsWith('Refused: ')")
+    until(lambda: served._blocked is not None or served._history.shown.in_the_way is None, "what is in the way to be drawn")  # type: ignore[union-attr]
+    tab.page.get_by_text("Plans", exact=True).first.click()
+    tab.open("Beside it")
+    tab.page.get_by_role("option").nth(2).click()  # the plan before the refused one
+    tab.page.locator(".lp-table", has_text="outcome").wait_for()
+    with tab.page.expect_download() as saved:
+        tab.press("Save the plan")
+    assert saved.value.suggested_filename.startswith("plan-") and '"status"' in saved.value.path().read_text()
+    tab.press("Back to the first target")
+    until(lambda: served._goal.changed == "", "the first target")
+
+
+def test_a_phone_shows_scene_and_buttons(tab: Tab) -> None:
+    tab.page.set_viewport_size({"width": 390, "height": 844})
+    panel = tab.page.locator("[style*='position: fixed'][style*='max-height: 60%']")
+    panel.wait_for()
+    box = panel.bounding_box()
+    assert box is not None and box["width"] >= 389 and box["height"] < 0.5 * 844
+    assert tab.page.get_by_role("button", name="Stop", exact=True).first.bounding_box()["width"] < 390  # type: ignore[index]
+    cut = "[...document.querySelectorAll('input')].filter(e => e.offsetWidth && e.scrollWidth > e.clientWidth + 1).length"
+    assert tab.page.evaluate(cut) == 0
+    assert tab.page.evaluate("document.documentElement.scrollWidth") <= 390
+    tab.page.set_viewport_size({"width": 1000, "height": 640})
+
+
 def test_layers_on_demand(planned: Tab, served: Page) -> None:
     planned.page.get_by_text("Show", exact=True).first.click()
     for name in ("Search tree", "Collision spheres"):
