@@ -8,6 +8,7 @@ SCENE ?=
 DEMO_ARGS ?=
 VIEW_ARGS ?=
 PYTEST_ARGS ?=
+COVERAGE ?=
 
 # The ROS wheels leave their library path to child processes; that of another environment must not reach this one's.
 ifdef _ROS_WHEELS_BOOTSTRAP_COMPLETE
@@ -23,6 +24,7 @@ help:
 	@echo "make demo SCENE=file.npz    the same for a scene of yours (also PLY, PCD); more options: DEMO_ARGS='--help'"
 	@echo "make view                   the same nodes with a 3-D page to look at and to steer them from (SCENE=..., VIEW_ARGS='--port 8090')"
 	@echo "make test                   ruff, mypy and all tests, after installing what they need (some: PYTEST_ARGS='-k name')"
+	@echo "make test COVERAGE=1        the same with a table of covered lines, in twice the time"
 	@echo "make lint                   ruff and mypy alone"
 	@echo "make docs                   build the documentation into site/; its first page is site/index.html"
 	@echo "make setup                  only what demo and view do first: system libraries, .venv, dependencies, compiling (PYTHON=... to choose one)"
@@ -52,7 +54,7 @@ test: lint
 	@scripts/browser.sh
 	@scripts/control_msgs.sh || echo "make test: the tests of controller: jtc_action will be skipped"
 	@status=0; export ROS_PYTHON_CHECK_FIELDS=1; \
-	$(BIN)/python -m pytest -m "not alone" -n 2 --dist loadfile --cov --cov-report=term:skip-covered $(PYTEST_ARGS) || status=1; \
+	$(BIN)/python -m pytest -m "not alone" -n 2 --dist loadfile $(if $(COVERAGE),--cov --cov-report=term:skip-covered) $(PYTEST_ARGS) || status=1; \
 	$(BIN)/python -m pytest -m alone --reruns 1 --reruns-delay 5 $(PYTEST_ARGS) || status=1; \
 	exit $$status
 

@@ -86,7 +86,7 @@ def test_wall_g() -> None:
 
 
 def test_random_walls_come_close_to_the_optimum() -> None:
-    seeds = range(1, 6)
+    seeds = range(1, 4)
     ratios = np.array([[solve(random_wall(wall), seed, iterations=5000).cost / optimum(wall) for seed in seeds] for wall in range(10)])
     means = ratios.mean(axis=1)
     print(f"\nten walls, 5000 iterations: ratio to the optimum {means.mean():.4f} on average; of each: {means.round(3).tolist()}")
@@ -94,7 +94,7 @@ def test_random_walls_come_close_to_the_optimum() -> None:
     assert means.mean() <= 1.01
     # Wall 6's best way bends around a hard corner 0.2 from the edge of the leaves; most runs end a few per cent above it.
     assert np.sort(means)[-2] <= 1.01 and means.max() <= 1.08
-    assert np.sort(ratios, axis=None)[: 5 * 9].max() <= 1.02
+    assert np.sort(ratios, axis=None)[: 3 * 9].max() <= 1.02
 
 
 def test_more_iterations_are_never_worse() -> None:
