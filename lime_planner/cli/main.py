@@ -97,9 +97,8 @@ _EXAMPLES = """\
 examples:
   lime-planner scene plant --seed 2 --out plant.npz
   lime-planner plan plant.npz --picture plan.png
-  lime-planner plan scan.ply --offset 0.55 0 0.05 \\
-      --target 0.5 0.1 0.4 0 0.7071 0 0.7071
-  lime-planner plan plant.npz --time 2 --json plan.json --set leaf_policy=solid
+  lime-planner plan scan.ply --offset 0.55 0 0.05 --target 0.5 0.1 0.4
+  lime-planner plan plant.npz --time 2 --json plan.json --set leaf_cost=graded
   lime-planner doctor                           is everything there and heard?
   lime-planner record now.npz                   what the cameras see now
 

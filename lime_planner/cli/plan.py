@@ -51,7 +51,7 @@ examples:
   lime-planner plan scan.ply --offset 0.55 0 0.05 --freedom roll \\
       --target 0.5 0.1 0.4 0 0.7071 0 0.7071
   lime-planner plan plant.npz --planner apf_rrt_star --iterations 1500 --seed 1
-  lime-planner plan plant.npz --set leaf_policy=solid --set stem_margin_m=0.01
+  lime-planner plan plant.npz --set leaf_cost=graded --set stem_margin_m=0.01
   lime-planner plan --bag rosbag2_2026_05_04 --at 12.5 --leaf /seg/leaf \\
       --stem /seg/stem --target /grasp
 

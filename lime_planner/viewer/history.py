@@ -53,7 +53,7 @@ class History:
         self._beside = gui.add_dropdown("Beside it", (_NONE,), hint="Another plan: its figures and curves beside those of the one shown")
         self._table = gui.add_html("", visible=False)
         self._json = gui.add_button(
-            "Save the plan", icon="download", color="gray", disabled=True, hint="A file for lime-planner view and animate"
+            "Save the plan", icon="download", color="gray", disabled=True, hint="A file for `lime-planner view` and `lime-planner animate`"
         )
         self._picture = gui.add_button(
             "Save a picture", icon="photo", color="gray", disabled=True, hint="Side and top view of the plan, PNG"
