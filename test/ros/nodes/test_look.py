@@ -102,6 +102,7 @@ def test_a_look_is_refused_in_words(rig: tuple[Bench, Program]) -> None:
 
 def test_a_camera_that_falls_silent_ends_a_look(rig: tuple[Bench, Program]) -> None:
     bench, scene = rig
+    assert bench.set(look_first=False, fuse_views=False) == ["", ""]  # what earlier views showed is forgotten: there is much to look at
     bench.call("retreat", timeout_s=ANSWER_S)
     bench.wait(lambda: bench.statuses[-1]["phase"] == "DONE", 60.0, "the way back")
     look = begin_look(bench)
