@@ -15,7 +15,7 @@ import numpy as np
 
 from lime_planner.collision.distance_fields import build_fields
 from lime_planner.collision.fast import Scratch, State, check, make_scratch, make_state
-from lime_planner.collision.leaf_contact import charged_between
+from lime_planner.collision.leaves.charge import charged_between
 from lime_planner.collision.link_shapes import Shapes
 from lime_planner.collision.potential import repulse
 from lime_planner.collision.world import World, empty_world

@@ -9,9 +9,9 @@ import numpy as np
 
 from lime_planner.collision.compiled_check import call_charge, call_check
 from lime_planner.collision.fast import NEED, ZONE
-from lime_planner.collision.leaf_contact import FINEST_RAD, set_bends
+from lime_planner.collision.leaves.sweep import FINEST_RAD, set_bends
 from lime_planner.core.jit import hot_kernel
-from lime_planner.core.types import Array
+from lime_planner.core.types import Array, Int64
 from lime_planner.planning.prices import stretch_cost, with_unseen
 
 MAX_EDGE_STATES = 2048
@@ -23,13 +23,15 @@ class EdgeMemory(NamedTuple):
     """Memory for one edge: the intervals still open, and how far bodies move.
 
     Attributes:
-        left, right: (S,) the open intervals, as shares of the edge.
+        left, right: (S,) the open intervals, as shares of the edge; open: (S, 2) int64 the bodies and pairs that are open there, like
+            `Scratch.open`.
         motion: (B,) how far each body can move along the whole edge, relative: (P,) and one body of each pair past the other [m].
         q: (n,) a configuration.
     """
 
     left: Array
     right: Array
+    open: Int64
     motion: Array
     relative: Array
     q: Array
@@ -37,7 +39,14 @@ class EdgeMemory(NamedTuple):
 
 def make_edge_memory(n: int, bodies: int, pairs: int) -> EdgeMemory:
     """Allocate one thread's memory."""
-    return EdgeMemory(np.zeros(MAX_EDGE_STATES), np.zeros(MAX_EDGE_STATES), np.zeros(bodies), np.zeros(pairs), np.zeros(n))
+    return EdgeMemory(
+        np.zeros(MAX_EDGE_STATES),
+        np.zeros(MAX_EDGE_STATES),
+        np.zeros((MAX_EDGE_STATES, 2), np.int64),
+        np.zeros(bodies),
+        np.zeros(pairs),
+        np.zeros(n),
+    )
 
 
 @hot_kernel
@@ -58,8 +67,8 @@ def within_box(space: Any, q: Array) -> bool:
 
 
 @hot_kernel
-def _certified(space: Any, half: float) -> Any:
-    """Whether nothing hard can be met within `half` of the edge on either side of the configuration checked last.
+def _left_open(space: Any, half: float, bodies: int, pairs: int) -> Any:
+    """Bodies and pairs of those given that may meet something within `half` of the edge on either side of the configuration checked last.
 
     Its clearances, less a tolerance below the requirement, must cover the motion of each body (conservative advancement), so that
     nothing can hide in between whatever the sampling. The motion is bounded by the levers of the joints, and by the body's speed there
@@ -70,16 +79,20 @@ def _certified(space: Any, half: float) -> Any:
     need = state.misc[NEED]
     floor = need - max(0.00025, min(0.002, 0.5 * need))
     reach = 0.0
+    bodies_left = 0
+    pairs_left = 0
     for body in range(memory.motion.shape[0]):
         motion = min(memory.motion[body] * half, (state.speed[body] + 0.5 * space.sweep.bend[body] * half) * half)
         reach = max(reach, motion)
         if state.clear[body] - floor < motion:
-            return False
+            bodies_left |= 1 << (body & 63)
     for p in range(memory.relative.shape[0]):
         motion = memory.relative[p] * half
         if state.own[p] < motion and 2.0 * motion > _SELF_STEP_M:
-            return False
-    return not (space.zoned and abs(state.misc[ZONE]) < reach and 2.0 * reach > _ZONE_STEP_M)
+            pairs_left |= 1 << (p & 63)
+    if space.zoned and abs(state.misc[ZONE]) < reach and 2.0 * reach > _ZONE_STEP_M:
+        return bodies, pairs_left & pairs  # what blocks a body is another thing on either side of the zone's border
+    return bodies_left & bodies, pairs_left & pairs
 
 
 @hot_kernel
@@ -131,7 +144,8 @@ def _set_motions(space: Any) -> Any:
 def arm_edge(space: Any, a: Array, b: Array, weight: float, bound: float) -> Any:
     """`lime_planner.planning.space.edge` for the arm: the leaves first, which end most edges early, then the stems.
 
-    An interval is looked at in its middle and halved, widest first, until nothing hard can hide in any.
+    An interval is looked at in its middle and halved, widest first, until nothing hard can hide in any; bodies that nothing can meet
+    in an interval, and pairs of them, are not looked at in its halves.
     """
     counters = space.counters
     counters[1] += 1
@@ -156,12 +170,16 @@ def arm_edge(space: Any, a: Array, b: Array, weight: float, bound: float) -> Any
     _set_motions(space)
     memory.left[0] = 0.0
     memory.right[0] = 1.0
+    memory.open[0, 0] = memory.open[0, 1] = -1
     head = 0
     tail = 1
     samples = 0
     while head < tail:
-        left = memory.left[head % MAX_EDGE_STATES]
-        right = memory.right[head % MAX_EDGE_STATES]
+        at = head % MAX_EDGE_STATES
+        left = memory.left[at]
+        right = memory.right[at]
+        bodies = memory.open[at, 0]
+        pairs = memory.open[at, 1]
         head += 1
         if samples >= MAX_EDGE_STATES:
             return np.inf
@@ -170,13 +188,20 @@ def arm_edge(space: Any, a: Array, b: Array, weight: float, bound: float) -> Any
             memory.q[i] = a[i] + middle * (b[i] - a[i])
         samples += 1
         counters[2] += 1
-        if not arm_check(space, memory.q, False):
+        space.open[0] = bodies
+        space.open[1] = pairs
+        valid = arm_check(space, memory.q, False)
+        space.open[0] = space.open[1] = -1
+        if not valid:
             return np.inf
-        if _certified(space, right - middle):
+        bodies, pairs = _left_open(space, right - middle, bodies, pairs)
+        if bodies == 0 and pairs == 0:
             continue
-        memory.left[tail % MAX_EDGE_STATES] = left
-        memory.right[tail % MAX_EDGE_STATES] = middle
-        memory.left[(tail + 1) % MAX_EDGE_STATES] = middle
-        memory.right[(tail + 1) % MAX_EDGE_STATES] = right
-        tail += 2
+        for later in range(2):
+            at = tail % MAX_EDGE_STATES
+            memory.left[at] = left if later == 0 else middle
+            memory.right[at] = middle if later == 0 else right
+            memory.open[at, 0] = bodies
+            memory.open[at, 1] = pairs
+            tail += 1
     return stretch_cost(length, weight, length * charged)

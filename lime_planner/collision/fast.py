@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from lime_planner.collision.distance_fields import Fields, lower_bound, sample
-from lime_planner.collision.leaf_contact import Sweep, make_sweep, set_twists, sphere_speed, turning_speed
+from lime_planner.collision.leaves.sweep import Sweep, make_sweep, set_twists, sphere_speed, turning_speed
 from lime_planner.collision.link_shapes import Shapes
 from lime_planner.collision.point_contact import leaf_near, place, points_near, touched_patches
 from lime_planner.collision.self_contact import SELF_CLEARANCE_M, self_clearance
@@ -37,6 +37,7 @@ class Scratch(NamedTuple):
         poses: (n + 1, 3, 4) of the joints; centres: (B, 3) of the bodies' bounding spheres.
         masks: (B,) int64, a bit for each coarse sphere that a leaf may touch.
         q, force: (n,) the configuration to check and the force found, where functions called by address look for them.
+        open: (2,) int64 bodies, and pairs of bodies, that a check is to look at, a bit each (number modulo 64); -1 for all of them.
         marks: one for each leaf point, last_mark: (1,) the last one used, so that no point counts twice.
         sweep: memory for one edge, which a check without leaves is taken to belong to.
     """
@@ -46,6 +47,7 @@ class Scratch(NamedTuple):
     masks: Int64
     q: Array
     force: Array
+    open: Int64
     marks: Int32
     last_mark: Int32
     sweep: Sweep
@@ -79,6 +81,7 @@ def make_scratch(shapes: Shapes, fields: Fields) -> Scratch:
         np.zeros(bodies, np.int64),
         np.zeros(max(bodies - 1, 0)),
         np.zeros(max(bodies - 1, 0)),
+        np.full(2, -1, np.int64),
         np.zeros(len(fields.leaves.points), np.int32),
         np.zeros(1, np.int32),
         make_sweep(max(bodies - 1, 0)),
@@ -237,7 +240,7 @@ def check(chain: Chain, shapes: Shapes, world: World, scratch: Scratch, q: Array
     for step in range(bodies):
         b = bodies - 1 - step
         # What stands still comes no closer to anything whatever the path: the exact check of the start has judged it.
-        if b == 0 or shapes.bound[b, 3] == 0.0:
+        if b == 0 or shapes.bound[b, 3] == 0.0 or not (scratch.open[0] >> (b & 63)) & 1:
             state.clear[b] = CAP_M
             state.leaf_clear[b] = CAP_M
             scratch.masks[b] = 0

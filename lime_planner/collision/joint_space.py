@@ -11,7 +11,7 @@ import numpy as np
 from lime_planner.collision.compiled_check import call_check, call_repulsion, empty_parts, make_engine
 from lime_planner.collision.edge_cost import EdgeMemory, arm_check, arm_edge, make_edge_memory, within_box
 from lime_planner.collision.fast import LEAF, State, make_scratch, make_state
-from lime_planner.collision.leaf_contact import Sweep
+from lime_planner.collision.leaves.sweep import Sweep
 from lime_planner.collision.link_shapes import Shapes
 from lime_planner.collision.world import World
 from lime_planner.core.c_structures import reader, vector
@@ -29,7 +29,7 @@ class ArmSpace(NamedTuple):
         lower, upper: (n,) sampling box, inside the joint limits [rad].
         counters: (8,) int64, see `lime_planner.planning.space`.
         engine: (4,) addresses, see `lime_planner.collision.compiled_check`.
-        state, q, force, memory, sweep: this thread's memory.
+        state, q, force, open, memory, sweep: this thread's memory.
         lever: (n, B) how far a body moves at most for each radian of a joint [m/rad].
         pairs: (P, 2) bodies that can touch each other.
         zoned: whether there is an approach zone.
@@ -46,6 +46,7 @@ class ArmSpace(NamedTuple):
     state: State
     q: Array
     force: Array
+    open: Int64
     memory: EdgeMemory
     sweep: Sweep
     lever: Array
@@ -98,6 +99,7 @@ def make_arm_space(
         state,
         scratch.q,
         scratch.force,
+        scratch.open,
         memory,
         scratch.sweep,
         np.ascontiguousarray(shapes.lever),

@@ -98,9 +98,15 @@ def pair_clearance(shapes: Any, a: int, b: int, inner: Any, outer: Any) -> Any:
 
 @inline_kernel
 def self_clearance(shapes: Any, scratch: Any, own: Any) -> Any:
-    """Write the clearance of each pair of bodies that can touch to `own`; the smallest. Stops at the first that is too small."""
+    """Write the clearance of each pair of bodies that can touch to `own`; the smallest. Stops at the first that is too small.
+
+    Pairs that are not to be looked at (`Scratch.open`) count as far from each other.
+    """
     best = CAP_M
     for p in range(shapes.pairs.shape[0]):
+        if not (scratch.open[1] >> (p & 63)) & 1:
+            own[p] = CAP_M
+            continue
         a = shapes.pairs[p, 0]
         b = shapes.pairs[p, 1]
         dx = scratch.centres[a, 0] - scratch.centres[b, 0]

@@ -13,7 +13,7 @@ from lime_planner.collision.joint_space import ArmSpace
 from lime_planner.core.types import Array, Bool
 from lime_planner.pipeline.obstacles import Obstacles
 
-_FINEST_RAD = 2e-5  # a tenth of what searches settle for (`lime_planner.collision.leaf_contact.FINEST_RAD`)
+_FINEST_RAD = 2e-5  # less than half of what searches settle for (`lime_planner.collision.leaves.sweep.FINEST_RAD`)
 
 
 @dataclass(frozen=True, eq=False)

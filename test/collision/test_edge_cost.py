@@ -12,8 +12,9 @@ from hypothesis import strategies as st
 
 from lime_planner.collision.fast import LEAF, SELF
 from lime_planner.collision.joint_space import ArmSpace, make_arm_space, measure
-from lime_planner.collision.leaf_contact import FINEST_RAD
+from lime_planner.collision.leaves.sweep import FINEST_RAD
 from lime_planner.collision.self_contact import SELF_CLEARANCE_M
+from lime_planner.pipeline.leaf_spans import leaf_spans
 from lime_planner.pipeline.obstacles import Obstacles
 from lime_planner.planning.space import N_EDGE_STATES, line, one
 from lime_planner.robot.model import home
@@ -127,6 +128,20 @@ def test_adds_up_under_subdivision(name: str) -> None:
         difference += parts - whole
         total += whole
     assert abs(difference) < 0.002 * total
+
+
+@pytest.mark.parametrize("name", ["scan", "plant"])
+def test_no_less_than_a_finer_integral(name: str) -> None:
+    obstacles, space, edges = free_edges(name)
+    touching = 0
+    for a, b in edges:
+        found, fine = cost(space, a, b), leaf_spans(obstacles, np.array([a, b]))
+        if np.isfinite(found):
+            over = found - np.linalg.norm(b - a) - W * fine.charged_rad
+            # Two borders to a contact at least, and as many again where contact is so short that only the finer integral tells it.
+            assert -1e-9 * found <= over <= W * FINEST_RAD * 4.0 * (1.0 + len(fine.spans))
+            touching += len(fine.spans) > 0
+    assert touching > 5
 
 
 @pytest.mark.parametrize("name", ["scan", "plant"])

@@ -101,9 +101,9 @@ def _cut(space: Any, tracks: Any, t: int, weight: float, tolerance: float, rando
 
 @kernel
 def _two_edges(space: Any, a: Any, b: Any, c: Any, weight: float, limit: float) -> tuple[float, float]:
-    """Costs of a → b and b → c if their sum stays below the limit, else inf for the first."""
+    """Costs of a → b and b → c if b is valid and their sum stays below the limit, else inf for the first."""
     rest = distance(space, b, c)
-    if distance(space, a, b) + rest >= limit:
+    if distance(space, a, b) + rest >= limit or evaluate(space, b) < 0.0:
         return np.inf, np.inf
     first = edge(space, a, b, weight, limit - rest)
     if first + rest >= limit:
@@ -115,8 +115,8 @@ def _two_edges(space: Any, a: Any, b: Any, c: Any, weight: float, limit: float) 
 
 
 @kernel
-def _perturb(space: Any, centre: Any, step: float, random: Any, out: Any) -> bool:
-    """Draw a valid configuration around a centre, all coordinates or only one of them moved."""
+def _perturb(space: Any, centre: Any, step: float, random: Any, out: Any) -> None:
+    """Draw a configuration around a centre, all coordinates or only one of them moved."""
     n = centre.shape[0]
     only = below(random, 3 * n) if n > 2 else n  # one time in three a single coordinate
     for k in range(n):
@@ -124,7 +124,6 @@ def _perturb(space: Any, centre: Any, step: float, random: Any, out: Any) -> boo
         if only >= n or only == k:
             out[k] += step * normal(random)
     clamp(space, out)
-    return bool(evaluate(space, out) >= 0.0)
 
 
 @kernel
@@ -136,15 +135,14 @@ def _move(space: Any, tracks: Any, t: int, weight: float, least: float, random: 
     i = 1 + below(random, m - 2)
     step = tracks.step[t, i]
     limit = (tracks.segment[t, i - 1] + tracks.segment[t, i]) * (1.0 - _GAIN)
-    good = _perturb(space, tracks.points[t, i], step, random, tracks.trial)
+    _perturb(space, tracks.points[t, i], step, random, tracks.trial)
+    first, second = _two_edges(space, tracks.points[t, i - 1], tracks.trial, tracks.points[t, i + 1], weight, limit)
+    good = first < np.inf
     if good:
-        first, second = _two_edges(space, tracks.points[t, i - 1], tracks.trial, tracks.points[t, i + 1], weight, limit)
-        good = first < np.inf
-        if good:
-            tracks.points[t, i] = tracks.trial
-            tracks.segment[t, i - 1] = first
-            tracks.segment[t, i] = second
-            sum_cost(tracks, t)
+        copy_row(tracks.trial, tracks.points[t, i])
+        tracks.segment[t, i - 1] = first
+        tracks.segment[t, i] = second
+        sum_cost(tracks, t)
     tracks.step[t, i] = max(_FINEST * least, step * (_TRIALS_UP if good else _TRIALS_DOWN))
     return good
 
@@ -173,8 +171,10 @@ def _border(space: Any, a: Any, b: Any, share: float, other: float, scratch: Any
 
 @kernel
 def _three_edges(space: Any, a: Any, b: Any, c: Any, d: Any, weight: float, limit: float) -> tuple[float, float, float]:
-    """Costs of a → b, b → c and c → d if their sum stays below the limit, else inf for the first."""
+    """Costs of a → b, b → c and c → d if b and c are valid and their sum stays below the limit, else inf for the first."""
     rest = distance(space, c, d)
+    if distance(space, a, b) + distance(space, b, c) + rest >= limit or evaluate(space, c) < 0.0:
+        return np.inf, np.inf, np.inf
     first, second = _two_edges(space, a, b, c, weight, limit - rest)
     if first == np.inf:
         return np.inf, np.inf, np.inf
@@ -263,8 +263,6 @@ def _insert(space: Any, tracks: Any, t: int, weight: float, least: float, most: 
     for k in range(n):
         tracks.trial[k] = a[k] + share * (b[k] - a[k]) + step * normal(random)
     clamp(space, tracks.trial)
-    if evaluate(space, tracks.trial) < 0.0:
-        return False
     if not two:
         first, second = _two_edges(space, a, tracks.trial, b, weight, limit)
         if first == np.inf:
@@ -276,8 +274,6 @@ def _insert(space: Any, tracks: Any, t: int, weight: float, least: float, most: 
         for k in range(n):
             tracks.second[k] = a[k] + further * (b[k] - a[k]) + step * normal(random)
         clamp(space, tracks.second)
-        if evaluate(space, tracks.second) < 0.0:
-            return False
         first, second, third = _three_edges(space, a, tracks.trial, tracks.second, b, weight, limit)
         if first == np.inf:
             return False

@@ -1,0 +1,1 @@
+"""What leaves cost along an edge."""
