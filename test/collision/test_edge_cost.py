@@ -243,7 +243,8 @@ def test_a_thin_leaf_sheet_in_the_middle_is_charged(where: float, sweep: float, 
     for weight in (1.0, W):
         contact = (cost(space, a, b, weight=weight) - sweep) / weight
         assert contact > 0.0
-        assert abs(contact - true) <= allowed_error(leaf, step)
+        # What cannot be decided is charged: a search would find gaps.
+        assert -allowed_error(leaf, step) <= contact - true <= allowed_error(leaf, step) + 0.01 * true
 
 
 def test_without_leaves_their_contact_is_free() -> None:

@@ -18,7 +18,7 @@ FINEST_RAD = 5e-5  #: an interval that could cost no more than so much contact w
 SLACK, SLACK_M = 1.05, 2e-5  #: distances interpolated in a grid change a little faster than the place moves
 _POINTS = 1 << 16
 _SPHERES = 1 << 16
-_TODO = 1 << 12
+_CELLS_AHEAD = 1 << 12
 _DEPTH = 64
 _LOOKS = 31
 _SPANS = 1 << 13
@@ -77,7 +77,7 @@ def make_sweep(n: int) -> Sweep:
         sure=np.zeros(_DEPTH),
         node=np.zeros(_SPHERES, np.int32),
         owner=np.zeros(_SPHERES, np.int32),
-        todo=np.zeros(_TODO, np.int32),
+        todo=np.zeros(_CELLS_AHEAD, np.int32),
         body=np.zeros(_POINTS, np.int32),
         point=np.zeros(_POINTS, np.int32),
         contact=np.zeros((_LOOKS, 2)),

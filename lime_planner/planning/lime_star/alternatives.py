@@ -98,7 +98,8 @@ class Restarts:
         self.tried[g] += 1
         (root, first), (end, last) = run.out(len(run.goals)), run.out(g)
         samples = run.left(run.options.connect_samples)
-        count = run.connect(run.space, root, end, samples, solid=True, bound=run.best_cost - first - last - run.terminal[g])
+        space = run.space if run.options.weight > 0.0 else run.leafless  # at no weight leaves are air
+        count = run.connect(space, root, end, samples, solid=True, bound=run.best_cost - first - last - run.terminal[g])
         if count and not run.over():
             run.adopt(run.append_goal(run.prepend_start(count), g), trials=_TRIALS)
         return True
