@@ -57,13 +57,18 @@ class Look:
         plan: the motion, certified; it stays out of unseen space, but for leaving what the arm stands in.
         T_base_camera: (4, 4) of the view.
         share: of the unseen voxels that matter, which it would show.
-        voxels: how many these are.
+        matter: (K, 3) these voxels [m].
     """
 
     plan: PlanResult
     T_base_camera: Array
     share: float
-    voxels: int
+    matter: Float32
+
+    @property
+    def voxels(self) -> int:
+        """How many unseen voxels matter."""
+        return len(self.matter)
 
 
 def voxels_that_matter(pipeline: Pipeline, scene: Scene, target: Target, plan: PlanResult, settings: Settings) -> Float32:
@@ -174,7 +179,7 @@ def plan_look(
         if found.succeeded and found.T_base_tool is not None:
             T_base_camera = found.T_base_tool @ T_tool_camera
             which = int(np.linalg.norm(chosen[:, :3, 3] - T_base_camera[:3, 3], axis=1).argmin())
-            return Look(found, T_base_camera, float(shown[first + which]), len(voxels))
+            return Look(found, T_base_camera, float(shown[first + which]), voxels)
     return None
 
 

@@ -170,8 +170,8 @@ def _linked(points: Any, seed: int, link_m: float, keys: Any, waiting: Any, orde
     return linked
 
 
-def _frozen(points: Float32) -> Float32:
-    # A scene's arrays are read-only, others are not: Numba would compile each kernel twice.
+def frozen(points: Float32) -> Float32:
+    """Return points as kernels take them: a scene's arrays are read-only, others are not, and Numba would compile each kernel twice."""
     view = np.ascontiguousarray(points).view()
     view.setflags(write=False)
     return view
@@ -191,13 +191,13 @@ def thin(points: Float32, edge_m: float) -> tuple[Int32, Int32]:
     Returns:
         Indices of the kept points (K,), and for each point (N,) which of them stands for it.
     """
-    kept, stands_for = _thin(_frozen(points), float(edge_m))
+    kept, stands_for = _thin(frozen(points), float(edge_m))
     return kept, stands_for
 
 
 def displacement(points: Float32, kept: Int32, stands_for: Int32) -> float:
     """Return the largest distance [m] from a point to the kept one that stands for it; at most √3 edges, usually little over one."""
-    return float(_farthest(_frozen(points), kept, stands_for))
+    return float(_farthest(frozen(points), kept, stands_for))
 
 
 def lonely(points: Float32, radius_m: float, neighbours: int) -> Bool:
@@ -205,16 +205,16 @@ def lonely(points: Float32, radius_m: float, neighbours: int) -> Bool:
 
     The block holds the ball of `radius_m`: a point with enough neighbours in the ball is never called lonely.
     """
-    result: Bool = _lonely(_frozen(points), float(radius_m), neighbours + 1, _bits(len(points)))
+    result: Bool = _lonely(frozen(points), float(radius_m), neighbours + 1, _bits(len(points)))
     return result
 
 
 def linked(points: Float32, seed: int, link_m: float) -> Bool:
     """Tell which points (N,) are reached from point `seed` by steps of at most `link_m` from point to point."""
-    frozen = _frozen(points)
-    keys = _keys(frozen, float(link_m))
+    some = frozen(points)
+    keys = _keys(some, float(link_m))
     waiting = np.argsort(keys, kind="stable")  # here: a sort compiled by Numba takes seconds to compile
-    result: Bool = _linked(frozen, seed, float(link_m), keys, waiting, keys[waiting])
+    result: Bool = _linked(some, seed, float(link_m), keys, waiting, keys[waiting])
     return result
 
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from lime_planner.core.errors import Refusal
 from lime_planner.core.types import Array
 from lime_planner.ros.inputs.view_memory import Waiting
 from lime_planner.scene.scene import Scene
@@ -16,7 +17,7 @@ from lime_planner.scene.views.fused import Picture, add_picture, fused
 FROM_ONE_PLACE = 2  #: pictures of a camera from one place: the newest, and one before something may have hidden the plant
 MOST_PICTURES = 16  #: beyond that the oldest of the camera with most of them goes: each takes some hundredths of a second in every plan
 
-#: Where the planning frame of a cloud's stamp is in that of now, (4, 4); None where it has not moved. Raises where nobody can tell.
+#: Where the planning frame of a cloud's stamp is in that of now, (4, 4); None where it has not moved. Raises Refusal where nothing tells.
 Moved = Callable[[Waiting], Array | None]
 
 
@@ -65,18 +66,24 @@ class KnownViews:
             frames = [known.cloud.frame for known in self._known]
             del self._known[frames.index(max(frames, key=frames.count))]
 
-    def forget(self, before_s: float, keep: Callable[[Waiting], bool] = lambda _: True) -> None:
-        """Forget pictures taken before a time [s], and those that are not to be kept."""
-        self._known = [known for known in self._known if known.picture.taken_s >= before_s and keep(known.cloud)]
+    def forget(self, before_s: float) -> None:
+        """Forget pictures taken before a time [s]."""
+        self._known = [known for known in self._known if known.picture.taken_s >= before_s]
 
-    def move(self, T_now_then: Callable[[Waiting], Array | None]) -> None:
-        """Bring every picture to where the planning frame is now."""
-        for k, known in enumerate(self._known):
-            now = T_now_then(known.cloud)
+    def move(self, T_now_then: Moved) -> None:
+        """Bring every picture to where the planning frame is now; those of which nothing tells how far it has moved are forgotten."""
+        kept = []
+        for known in self._known:
+            try:
+                now = T_now_then(known.cloud)
+            except Refusal:
+                continue
             a, b = (np.eye(4) if T is None else T for T in (now, known.T_now_then))
             if not np.allclose(a, b, atol=1e-5):
                 scene = known.picture.scene.transformed(a @ np.linalg.inv(b))
-                self._known[k] = dataclasses.replace(known, picture=dataclasses.replace(known.picture, scene=scene), T_now_then=now)
+                known = dataclasses.replace(known, picture=dataclasses.replace(known.picture, scene=scene), T_now_then=now)
+            kept.append(known)
+        self._known = kept
 
     def with_newest(self, scene: Scene, taken_s: float) -> Scene:
         """Return what is known together with the newest picture; the same object again as long as nothing has changed."""

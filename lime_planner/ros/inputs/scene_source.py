@@ -176,7 +176,7 @@ class SceneSource:
                 self._inputs.warn(f"an earlier cloud of {picture[-1].name} is left out: {refusal}")
             for cloud in picture:
                 self._memory.use(cloud)
-        self._views.forget(time.monotonic() - node.view_memory_s, lambda cloud: self._known_place(cloud, node, should_stop))
+        self._views.forget(time.monotonic() - node.view_memory_s)
         self._views.move(lambda cloud: self._moved_since(cloud, node, should_stop))
         self._remember()
         return self._views.with_newest(newest, max((taken_s(sample) for sample in samples.values()), default=time.monotonic()))
@@ -184,14 +184,6 @@ class SceneSource:
     def _moved_since(self, cloud: Waiting, node: NodeSettings, should_stop: Callable[[], bool]) -> Array | None:
         header = cloud.sample.msg.header if self._carries(cloud.frame) is None else self._at_base(cloud.sample)
         return self.placements.place(cloud.name, cloud.sample.number, header, node, should_stop)[1]
-
-    def _known_place(self, cloud: Waiting, node: NodeSettings, should_stop: Callable[[], bool]) -> bool:
-        """Whether it is known where a cloud is now; the base may have moved, and nothing tell how far."""
-        try:
-            self._moved_since(cloud, node, should_stop)
-        except Refusal:
-            return False
-        return True
 
     def changed_stems(self, number: int, snapshot: Snapshot, should_stop: Callable[[], bool]) -> Scene | None:
         """Return the newest stems if any came after a scene was made, else None, the newest clouds' ages checked once more.

@@ -11,8 +11,8 @@ import numpy as np
 
 from lime_planner.core.errors import Refusal
 from lime_planner.core.status import Status
-from lime_planner.core.types import Array, Float32
-from lime_planner.pipeline.looks import Look, plan_look, voxels_that_matter
+from lime_planner.core.types import Array
+from lime_planner.pipeline.looks import Look, plan_look
 from lime_planner.pipeline.pipeline import Pipeline
 from lime_planner.ros.execution.motion import Ended, moves
 from lime_planner.ros.execution.retreat import Path
@@ -152,9 +152,6 @@ class LookSteps(RequestSteps):
         scene, result, pipeline = planned.record.scene, planned.record.result, loaded.pipeline
         target = result.target
         assert target is not None  # every plan of a request has one
-        matter = voxels_that_matter(pipeline, scene, target, result, snapshot.plan)
-        if not len(matter):
-            return None
         seed = snapshot.plan.seed or int(np.random.default_rng().integers(1, 2**31 - 1))
         q = self._arm_at_start(snapshot).q
         look = self._guarded(
@@ -169,7 +166,7 @@ class LookSteps(RequestSteps):
         record = dataclasses.replace(planned.record, number=next(self._numbers), target=None, result=look.plan)
         since_s = self._go_and_rest(ticket, loaded, snapshot, dataclasses.replace(planned, record=record), "to a view")
         self._await_clouds(ticket, snapshot, since_s)
-        return _judged(pipeline, look, scene, self._source.scene(snapshot, ticket.should_stop), matter)
+        return _judged(pipeline, look, scene, self._source.scene(snapshot, ticket.should_stop))
 
     def _back_out(self, ticket: Ticket, loaded: Loaded, snapshot: Snapshot) -> bool:
         """Go back along the motion executed last, as far as the arm got, because no plan leads on from here; tell whether that was done.
@@ -248,9 +245,9 @@ class LookSteps(RequestSteps):
             time.sleep(_POLL_S)
 
 
-def _judged(pipeline: Pipeline, look: Look, before: Scene, after: Scene, matter: Float32) -> Looked:
+def _judged(pipeline: Pipeline, look: Look, before: Scene, after: Scene) -> Looked:
     """Compare what was unseen before and after a look."""
     old, new = pipeline.seen_map(before), pipeline.seen_map(after)
-    left = int((new.classify(matter) == UNSEEN).sum())
+    left = int((new.classify(look.matter) == UNSEEN).sum())
     voxel_m3 = old.voxel_m**3
-    return Looked(look, len(matter) * voxel_m3, left * voxel_m3, old.unseen_volume_m3, new.unseen_volume_m3)
+    return Looked(look, look.voxels * voxel_m3, left * voxel_m3, old.unseen_volume_m3, new.unseen_volume_m3)

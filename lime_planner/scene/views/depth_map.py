@@ -19,6 +19,7 @@ import numpy.typing as npt
 
 from lime_planner.core.jit import inline_kernel, kernel
 from lime_planner.core.types import Array, Float32
+from lime_planner.scene.voxels import frozen
 
 _SMALLEST_CELLS, _MOST_CELLS = 32, 768  # along an edge of a face: 2.8° and 0.12° at its middle
 _HITS_AROUND_HOLE = 4  # of the eight cells around a cell without a hit; fewer make a gap in the plant
@@ -155,8 +156,7 @@ def make_depth_map(hits: npt.ArrayLike, origin: npt.ArrayLike, cell_m: float) ->
         origin: (3,) of the sensor, in the same frame [m].
         cell_m: size of a cell at the middle distance of the hits [m]; cells are never wider than 2.8° nor finer than 0.12°.
     """
-    points = np.ascontiguousarray(hits, dtype=np.float32).reshape(-1, 3).view()
-    points.setflags(write=False)  # scenes' arrays are: one kind of array, one compilation
+    points = frozen(np.asarray(hits, dtype=np.float32).reshape(-1, 3))
     place = np.array(origin, dtype=np.float64).reshape(3)
     some = points[:: max(1, len(points) // _OUTLINE_POINTS)] - place
     away = np.linalg.norm(some, axis=1)

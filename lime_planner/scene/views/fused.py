@@ -19,6 +19,7 @@ from lime_planner.core.types import Array, Bool, Float32
 from lime_planner.scene.clean import subset
 from lime_planner.scene.scene import Scene, merged
 from lime_planner.scene.views.depth_map import cell_of
+from lime_planner.scene.voxels import frozen
 
 PASSED_M = 0.02  #: a ray must end this far behind a point to have passed through it: noise and calibration are less
 _CELL_M = 0.006  # of the map of a picture, at the middle distance of its hits
@@ -90,14 +91,14 @@ class Rays:
             some = hits[:: max(1, len(hits) // 5000)] - viewpoints[k]
             middle_m = float(np.median(np.sqrt(np.einsum("ij,ij->i", some, some))))
             cells = int(np.clip(np.ceil(2.0 * middle_m / _CELL_M), _SMALLEST_CELLS, _MOST_CELLS))
-            self._maps.append((origin, _nearest(_plain(hits), origin, cells)))
+            self._maps.append((origin, _nearest(frozen(hits), origin, cells)))
 
     def through(self, points: Float32, beside: int) -> Bool:
         """Tell which points (N, 3) some ray passed through, and no ray was stopped so many cells beside them, (N,)."""
         passed: Bool = np.zeros(len(points), np.bool_)
         for origin, depths in self._maps:
             if len(points):
-                passed |= _passed(_plain(points), origin, depths, PASSED_M, beside, _LEAST_AROUND)
+                passed |= _passed(frozen(points), origin, depths, PASSED_M, beside, _LEAST_AROUND)
         return passed
 
     def left_of(self, picture: Picture) -> Picture:
@@ -108,13 +109,6 @@ class Rays:
         if not any(part.any() for part in passed):
             return picture
         return dataclasses.replace(picture, scene=subset(scene, *(~part for part in passed), reason="passed_through"))
-
-
-def _plain(points: Float32) -> Float32:
-    """One kind of array, one compilation: contiguous and read-only, as the arrays of scenes are."""
-    view = np.ascontiguousarray(points, dtype=np.float32).view()
-    view.setflags(write=False)
-    return view
 
 
 def add_picture(pictures: Sequence[Picture], newer: Picture) -> list[Picture]:

@@ -14,6 +14,7 @@ import numpy.typing as npt
 
 from lime_planner.core.jit import kernel
 from lime_planner.core.types import Array, Float32, UInt8
+from lime_planner.scene.voxels import frozen
 
 #: Of unseen space: light falls to 1/e on a way of 40 cm. Foliage with 5 m² of leaves in a cubic metre, turned every way, has that.
 EXTINCTION_PER_M = 2.5
@@ -185,9 +186,7 @@ def make_sight_map(things: Float32, unseen: Float32, low: Array, high: Array, vo
     shape = np.ceil(size / edge_m).astype(np.int64) + 1
     voxels = np.zeros(tuple(int(n) for n in shape), np.uint8)
     for points, what in ((unseen, _UNSEEN), (things, _THING)):
-        rows = np.ascontiguousarray(points, dtype=np.float32).reshape(-1, 3).view()
-        rows.setflags(write=False)
-        _mark(voxels, low, edge_m, rows, what)
+        _mark(voxels, low, edge_m, frozen(np.asarray(points, dtype=np.float32).reshape(-1, 3)), what)
     return SightMap(low, edge_m, voxels)
 
 
