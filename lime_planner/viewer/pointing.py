@@ -52,21 +52,16 @@ def _first_leaf(scene: Scene, origin: Array, direction: Array) -> tuple[float, i
     if scene.leaf_triangles is None or not len(scene.leaf_triangles):
         along, point = _first_point(scene.leaf_points, origin, direction)
         return along, None if point < 0 or scene.leaf_ids is None else int(scene.leaf_ids[point])
-    corner = scene.leaf_triangles[:, 0].astype(np.float64)
-    one, two = scene.leaf_triangles[:, 1] - corner, scene.leaf_triangles[:, 2] - corner
-    # Moeller and Trumbore: the ray's barycentric coordinates in every triangle at once.
-    p = np.cross(direction, two)
-    volume = np.einsum("ij,ij->i", one, p)
-    volume = np.where(np.abs(volume) < _EPSILON, np.nan, volume)
-    apart = origin - corner
-    u = np.einsum("ij,ij->i", apart, p) / volume
-    q = np.cross(apart, one)
-    v = q @ direction / volume
-    ahead = np.einsum("ij,ij->i", two, q) / volume
-    ahead = np.where((u >= 0.0) & (v >= 0.0) & (u + v <= 1.0) & (ahead > 0.0), ahead, np.inf)
-    first = int(ahead.argmin())
-    known = scene.leaf_triangle_ids is not None and np.isfinite(ahead[first])
-    return float(ahead[first]), int(scene.leaf_triangle_ids[first]) if known and scene.leaf_triangle_ids is not None else None
+    import open3d as o3d
+
+    caster = o3d.t.geometry.RaycastingScene(nthreads=1)
+    corners = np.ascontiguousarray(scene.leaf_triangles, dtype=np.float32).reshape(-1, 3)
+    caster.add_triangles(corners, np.arange(len(corners), dtype=np.uint32).reshape(-1, 3))
+    met = caster.cast_rays(np.concatenate([origin, direction]).astype(np.float32)[None])
+    along = float(met["t_hit"].numpy()[0])  # inf where it meets none
+    if not np.isfinite(along) or scene.leaf_triangle_ids is None:
+        return along, None
+    return along, int(scene.leaf_triangle_ids[int(met["primitive_ids"].numpy()[0])])
 
 
 def _touched(scene: Scene, leaf: int, timeline: Timeline) -> str | None:
