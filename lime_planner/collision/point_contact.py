@@ -76,6 +76,15 @@ def cells_near(table: Any, x: Any, y: Any, z: Any, reach: Any) -> tuple[Any, Any
 
 
 @inline_kernel
+def points_in_line(table: Any, i: Any, j: Any, low: Any, high: Any) -> tuple[Any, Any]:
+    """First point, and the one behind the last, in the cells `low` to `high` of a line of the points' table; equal where there are none."""
+    line = (i * table.shape[1] + j) * table.shape[2]
+    if high < low:
+        return 0, 0
+    return table.start[line + low], table.start[line + high + 1]
+
+
+@inline_kernel
 def points_near(
     shapes: Any, b: Any, pose: Any, table: Any, x: Any, y: Any, z: Any, reach: Any, enough: Any, skip: Any, skip_radius: Any
 ) -> Any:
@@ -87,8 +96,8 @@ def points_near(
     low0, high0, low1, high1, low2, high2 = cells_near(table, x, y, z, reach)
     for i in range(low0, high0 + 1):
         for j in range(low1, high1 + 1):
-            row = (i * table.shape[1] + j) * table.shape[2]
-            for at in range(table.start[row + low2] if high2 >= low2 else 0, table.start[row + high2 + 1] if high2 >= low2 else 0):
+            begin, end = points_in_line(table, i, j, low2, high2)
+            for at in range(begin, end):
                 px = float(table.points[at, 0])
                 py = float(table.points[at, 1])
                 pz = float(table.points[at, 2])
@@ -118,8 +127,8 @@ def leaf_near(shapes: Any, b: Any, pose: Any, table: Any, x: Any, y: Any, z: Any
     low0, high0, low1, high1, low2, high2 = cells_near(table, x, y, z, reach)
     for i in range(low0, high0 + 1):
         for j in range(low1, high1 + 1):
-            row = (i * table.shape[1] + j) * table.shape[2]
-            for at in range(table.start[row + low2] if high2 >= low2 else 0, table.start[row + high2 + 1] if high2 >= low2 else 0):
+            begin, end = points_in_line(table, i, j, low2, high2)
+            for at in range(begin, end):
                 px = float(table.points[at, 0])
                 py = float(table.points[at, 1])
                 pz = float(table.points[at, 2])
@@ -143,8 +152,8 @@ def touched_patches(
     low0, high0, low1, high1, low2, high2 = cells_near(table, x, y, z, reach)
     for i in range(low0, high0 + 1):
         for j in range(low1, high1 + 1):
-            row = (i * table.shape[1] + j) * table.shape[2]
-            for at in range(table.start[row + low2] if high2 >= low2 else 0, table.start[row + high2 + 1] if high2 >= low2 else 0):
+            begin, end = points_in_line(table, i, j, low2, high2)
+            for at in range(begin, end):
                 if marks[at] == mark:
                     continue
                 d = mesh_distance(shapes, b, pose, table.points[at, 0], table.points[at, 1], table.points[at, 2])

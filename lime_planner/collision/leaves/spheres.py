@@ -11,7 +11,7 @@ from typing import Any
 
 from lime_planner.collision.distance_fields import lower_bound, sample
 from lime_planner.collision.leaves.sweep import SLACK_M, reach_of_point, reach_of_sphere, time_within, turning_speed
-from lime_planner.collision.point_contact import cells_near, mesh_distance, place
+from lime_planner.collision.point_contact import cells_near, mesh_distance, place, points_in_line
 from lime_planner.core.jit import inline_kernel
 from lime_planner.planning.prices import body_price, is_settled
 
@@ -145,8 +145,8 @@ def certain_contact(world: Any, shapes: Any, scratch: Any, sweep: Any, half: Any
             low0, high0, low1, high1, low2, high2 = cells_near(table, x, y, z, reach)
             for i in range(low0, high0 + 1):
                 for j in range(low1, high1 + 1):
-                    line = (i * table.shape[1] + j) * table.shape[2]
-                    for p in range(table.start[line + low2] if high2 >= low2 else 0, table.start[line + high2 + 1] if high2 >= low2 else 0):
+                    p_begin, p_end = points_in_line(table, i, j, low2, high2)
+                    for p in range(p_begin, p_end):
                         px = float(table.points[p, 0])
                         py = float(table.points[p, 1])
                         pz = float(table.points[p, 2])
@@ -194,8 +194,8 @@ def collect_points(world: Any, shapes: Any, scratch: Any, sweep: Any, first: Any
         low0, high0, low1, high1, low2, high2 = cells_near(table, x, y, z, reach)
         for i in range(low0, high0 + 1):
             for j in range(low1, high1 + 1):
-                line = (i * table.shape[1] + j) * table.shape[2]
-                for p in range(table.start[line + low2] if high2 >= low2 else 0, table.start[line + high2 + 1] if high2 >= low2 else 0):
+                p_begin, p_end = points_in_line(table, i, j, low2, high2)
+                for p in range(p_begin, p_end):
                     if scratch.marks[p] == mark:
                         continue
                     px = float(table.points[p, 0])
