@@ -14,6 +14,8 @@ COVERAGE ?=
 ifdef _ROS_WHEELS_BOOTSTRAP_COMPLETE
 unexport LD_LIBRARY_PATH _ROS_WHEELS_BOOTSTRAP_COMPLETE
 endif
+# What a shell says of bytecode is for its own programs: the tests start hundreds, which would compile all they import each time.
+unexport PYTHONDONTWRITEBYTECODE
 # A sourced ROS 2 is seen through PYTHONPATH; otherwise the environment stands alone.
 ifndef ROS_DISTRO
 unexport PYTHONPATH

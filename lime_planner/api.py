@@ -24,7 +24,14 @@ from lime_planner.robot.builtin import BUILTIN_ARMS
 from lime_planner.robot.model import Robot
 from lime_planner.scene.scene import Scene
 
-_OF_THE_ROBOT = ("robot", "arm_joints", "planning_frame", "tool_frame")
+#: Parameters of the robot, and what `Robot.load` calls them.
+_OF_THE_ROBOT = {
+    "robot": "name_or_path",
+    "arm_joints": "joint_names",
+    "planning_frame": "planning_frame",
+    "tool_frame": "tool_frame",
+    "finger_positions": "locked",
+}
 _ROBOTS_KEPT = 4
 
 
@@ -125,7 +132,7 @@ def plan(
         if name in NODE_PARAMETERS:
             raise ParameterError(f"{name}: only the node has a use for this parameter")
         if name in _OF_THE_ROBOT:
-            raise ParameterError(f"{name}: the robot is loaded already; give this to Robot.load")
+            raise ParameterError(f"{name}: the robot is loaded already; give this to Robot.load as {_OF_THE_ROBOT[name]}")
     settings = settings_from(parameters)
     if scene.frame_id not in ("", robot.planning_frame):
         raise SceneError(

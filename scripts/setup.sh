@@ -187,8 +187,8 @@ fi
 
 # --- The kernels ---------------------------------------------------------------------------------------------------------------
 # Once for each version, into the user's cache; every later start, and other checkouts, find them there.
-say "compiling the planner (about half a minute on two free cores the first time on this machine, seconds later)"
-"$venv/bin/python" -m lime_planner compile 2>&1 | sed 's/^/setup:   /' ||
+say "compiling the planner (one to three minutes on two cores the first time on this machine, seconds later)"
+"$venv/bin/python" -m lime_planner compile 2>&1 | sed -u 's/^/setup:   /' ||
   say "the planner could not be compiled now ($log says why); its first plan will try again"
 
 rm -f "$partial"

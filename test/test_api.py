@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -155,6 +156,20 @@ def test_names_and_files_will_do(tmp_path: Path) -> None:
 def test_a_wrong_argument_is_named(arguments: tuple[object, object], keywords: dict[str, object], sentence: str) -> None:
     with pytest.raises(LimePlannerError, match=re.escape(sentence)):
         plan(*arguments, **keywords)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("call", "sentence"),
+    [
+        (lambda: Scene.load(3), "a scene is loaded from the path of a file, got 3"),  # type: ignore[arg-type]
+        (lambda: Robot.load(None), "the path of a URDF file, got None"),  # type: ignore[arg-type]
+        (lambda: Scene("a", 1, 2, 3), "leaf_points: one number or text"),  # type: ignore[arg-type]
+        (lambda: generate_plant(1, PlantOptions(position_m=(float("nan"), 0.0, 0.0))), "position_m: nan 0 0 is outside"),
+    ],
+)
+def test_what_makes_no_scene_or_robot_is_named(call: Callable[[], object], sentence: str) -> None:
+    with pytest.raises(LimePlannerError, match=re.escape(sentence)):
+        call()
 
 
 def test_dir_shows_the_public_names_alone() -> None:

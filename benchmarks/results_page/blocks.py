@@ -13,7 +13,8 @@ from benchmarks.planners import report as compare
 from benchmarks.results_page import lime_blocks as lime
 from benchmarks.results_page.lime_blocks import escaped
 from benchmarks.scale import report as scale
-from lime_planner.experiments.analysis.bootstrap import median
+from lime_planner.core.parameters import parse_assignment, settings_from
+from lime_planner.experiments.analysis.bootstrap import by_cluster, by_plant, median
 from lime_planner.experiments.analysis.tables import markdown_table
 from lime_planner.experiments.damage import report as damage
 from lime_planner.experiments.hidden import report as hidden
@@ -26,6 +27,7 @@ DENSE_POINTS, LEAF_RATIO = 25.0, 0.5  # what was asked of the default planner
 MEDIAN_RATIO, TAIL_RATIO = 1.10, 1.25
 PEER_SHARE = 90.0
 OURS_S, FIRST_MARK_S = 0.5, 0.5
+_TOUCHING = ("ignored", "binary", "graded", "free", "candidates")  # methods that may touch leaves
 
 
 # Leaves really touched.
@@ -90,9 +92,47 @@ def damage_excess(data: Results) -> str:
 
 
 def damage_failures(data: Results) -> str:
-    """Every grasp on which a method failed that touches leaves at a cost, or for nothing."""
-    methods = [m for m in data["options"]["methods"] if m.partition(":")[0] in ("ignored", "binary", "graded")]
+    """Every grasp on which a method failed that touches leaves at a cost, or for nothing, whatever it was asked for."""
+    methods = [m for m in data["options"]["methods"] if m.partition(":")[0] in _TOUCHING]
     return "\n".join(f"- {line}" for line in damage.failures(data, methods)) or "None."
+
+
+def iterations_heading(data: Results) -> str:
+    """What was run, with how many iterations for every method."""
+    trials = data["trials"]
+    return (
+        f"{len({t['scene'] for t in trials})} plants, {len(damage.graspable(data))} limes; "
+        f"{data['options']['iterations']:,} iterations each."
+    )
+
+
+def weights_table(data: Results) -> str:
+    """What each leaf weight gives on the limes that all of them reach: lengths are medians, leaves and contact means."""
+    methods = sorted(data["options"]["methods"], key=_weight)
+    trials = damage.graspable(data)
+    both = [t for t in trials if all(damage.succeeded(t, method) for method in methods)]
+    usual = next(method for method in methods if ":" not in method)
+    rows = []
+    for method in methods:
+        leaves = by_cluster(by_plant(both, partial(damage.figure, method=method, name="leaves")), np.mean)
+        contact = np.mean([damage.figure(t, method, "leaf_contact_rad") for t in both])
+        lengths = [damage.median_ratio(both, method, usual, name).text() for name in ("path_length_rad", "duration_s")]
+        reached = f"{sum(damage.succeeded(t, method) for t in trials)} of {len(trials)}"
+        rows.append([f"{_weight(method):g}", reached, leaves.text(), f"{contact:.3f}", *lengths])
+    head = [
+        "leaf weight [1/rad]",
+        "reached",
+        "leaves cut",
+        "leaf contact [rad]",
+        "joint path, over the default's",
+        "motion, over the default's",
+    ]
+    return markdown_table(head, rows)
+
+
+def _weight(method: str) -> float:
+    changes = dict(parse_assignment(text) for text in method.partition(":")[2].split(",") if text)
+    return settings_from(changes).weight
 
 
 # Comparisons of planners.
@@ -213,6 +253,11 @@ BLOCKS: dict[str, Block] = {
     "damage.scans-paired": (("damage",), partial(damage.paired_table, density="scan", other="ignored")),
     "damage.status": (("damage",), damage.status_table),
     "damage.failures": (("damage",), damage_failures),
+    "freedom.heading": (("freedom",), iterations_heading),
+    "freedom.failures": (("freedom",), damage_failures),
+    "weights.heading": (("weights-fixed",), iterations_heading),
+    "weights.fixed": (("weights-fixed",), weights_table),
+    "weights.free": (("weights-free",), weights_table),
     "hidden.heading": (("hidden",), hidden.heading),
     "hidden.verdict": (("hidden",), hidden.verdict),
     "hidden.fixed": (("hidden",), partial(hidden.table, approach="fixed")),
@@ -246,6 +291,8 @@ BLOCKS: dict[str, Block] = {
     "scale.budget": (("scale",), scale.budget_table),
 }
 for _density, _name in ((damage.ALL, "all"), ("sparse", "sparse"), ("medium", "medium"), ("dense", "dense")):
+    BLOCKS[f"freedom.{_name}"] = (("freedom",), partial(damage.plants_table, density=_density))
+    BLOCKS[f"freedom.{_name}-paired"] = (("freedom",), partial(damage.paired_table, density=_density, other="binary"))
     BLOCKS[f"damage.{_name}"] = (("damage",), partial(damage.plants_table, density=_density))
     for _other in ("ignored", "solid"):
         BLOCKS[f"damage.{_name}-{_other}"] = (("damage",), partial(damage.paired_table, density=_density, other=_other))

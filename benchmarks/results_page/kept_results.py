@@ -172,6 +172,11 @@ def name_of(results: Mapping[str, Any]) -> str:
         return f"{name}-fcl"
     if name == "hidden" and options.get("densities") == ["thicket"]:
         return f"{name}-thicket"
+    methods = {method.partition(":")[0] for method in options.get("methods", ())}
+    if name == "damage" and methods in ({"free"}, {"binary"}):  # one method at several leaf weights
+        return "weights-free" if methods == {"free"} else "weights-fixed"
+    if name == "damage" and methods == {"binary", "free", "candidates"}:
+        return "freedom"
     return f"{name}-others" if name == "hidden" and options.get("first_plant", 0) >= OTHER_PLANTS else name
 
 

@@ -16,14 +16,17 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.patches import FancyArrowPatch, FancyBboxPatch
+from matplotlib.patches import Circle, FancyArrowPatch, FancyBboxPatch
 
 from lime_planner import Robot, generate_plant, plan
 from lime_planner.api import _warm_pipeline
 from lime_planner.core.geometry import pose_to_matrix
 from lime_planner.core.parameters import settings_from
+from lime_planner.output.approach_lines import APPROACH_COLOURS, APPROACH_WORDS
 from lime_planner.pipeline.figures import leaf_profile
 from lime_planner.pipeline.goals import find_goals, measure, sampling_box
+from lime_planner.pipeline.grasps.goals import goals_of
+from lime_planner.pipeline.targets import fruit_target
 from lime_planner.planning.lime_star.options import LimeOptions
 from lime_planner.planning.lime_star.planner import plan_lime
 
@@ -31,6 +34,7 @@ FIGURES = Path(__file__).resolve().parent.parent / "figures"
 GREEN, BROWN, BLUE, ORANGE, SKY, GREY = "#009e73", "#7a4a1e", "#0072b2", "#d55e00", "#56b4e9", "#777777"
 JOINT_COLOURS = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00")
 PLANT = 15
+GRASPED = 5  # of its limes, in the figure of the grasps
 
 
 def save(figure: Any, name: str) -> None:
@@ -243,7 +247,69 @@ def weights(robot: Robot) -> None:
     save(figure, "how-weights")
 
 
-FIGURES_BY_NAME = {"stages": stages, "fields": fields, "models": models, "anytime": anytime, "timing": timing, "weights": weights}
+def grasps(robot: Robot) -> None:
+    """What became of the approaches to one lime, over direction and roll, and what the free ones cost."""
+    scene = generate_plant(PLANT)
+    assert scene.fruit_centres is not None and scene.fruit_radii is not None
+    pipeline, _ = _warm_pipeline(robot)
+    settings = settings_from()
+    target = fruit_target(scene.fruit_centres[GRASPED].astype(np.float64), float(scene.fruit_radii[GRASPED]))
+    obstacles = pipeline.obstacles(scene, target.spot(scene, settings), settings)
+    found = goals_of(obstacles, obstacles.exact_checker(), target, robot.home, np.random.default_rng(1))
+    assert found.approaches is not None and len(found.costs), found.sentence
+    ahead = target.centre / np.linalg.norm(target.centre)
+    right = np.cross(ahead, [0.0, 0.0, 1.0])
+    right /= np.linalg.norm(right)
+    above = np.cross(right, ahead)
+
+    def flat(poses: Any) -> tuple[Any, Any]:
+        """Directions (P, 3) in the plane in which equal areas of the sphere stay equal (Lambert's), in degrees from the ray."""
+        ways = poses[:, :3, 2]
+        off = np.degrees(2.0 * np.sin(0.5 * np.arccos(np.clip(ways @ ahead, -1.0, 1.0))))
+        turn = np.arctan2(ways @ above, ways @ right)
+        return off * np.cos(turn), off * np.sin(turn)
+
+    figure, axes = plt.subplots(1, 2, figsize=(9.6, 4.4), layout="constrained")
+    poses, outcomes = found.approaches.poses, found.approaches.outcomes
+    for outcome, colour in APPROACH_COLOURS.items():
+        which = outcomes == outcome
+        if which.any():
+            axes[0].plot(*flat(poses[which]), "o", color=colour, markersize=3.6, label=f"{APPROACH_WORDS[outcome]} ({int(which.sum())})")
+    axes[0].set_title(f"{len(poses)} approaches tried", fontsize=10)
+    order = np.argsort(-found.costs)
+    shown = axes[1].scatter(
+        *flat(found.poses[order]), c=found.costs[order], s=34, cmap="viridis_r", norm="log", edgecolor="black", linewidth=0.4
+    )
+    figure.colorbar(shown, ax=axes[1], shrink=0.85, label="price of the grasp [rad]")
+    chosen = int(np.argmin(found.costs))
+    axes[1].plot(
+        *flat(found.poses[chosen : chosen + 1]), "o", markersize=13, markerfacecolor="none", markeredgecolor=ORANGE, markeredgewidth=1.6
+    )
+    axes[1].set_title(f"{len(np.unique(found.costs))} goals of the search; ringed: the cheapest", fontsize=10)
+    rim = np.degrees(2.0 * np.sin(0.5 * settings.approach_cone_rad))
+    marks = np.array([30.0, 60.0, 90.0])
+    for ax in axes:
+        for degrees in marks:
+            radius = np.degrees(2.0 * np.sin(0.5 * np.radians(degrees)))
+            ax.add_patch(Circle((0.0, 0.0), radius, fill=False, color=GREY, linewidth=0.6, linestyle=":"))
+            ax.text(0.0, radius + 1.0, f"{degrees:.0f}°", ha="center", fontsize=7.5, color=GREY)
+        ax.set_xlim(-rim - 6, rim + 6)
+        ax.set_ylim(-rim - 6, rim + 10)
+        ax.set_aspect("equal")
+        ax.axis("off")
+    axes[0].legend(frameon=False, fontsize=8, loc="upper left", bbox_to_anchor=(-0.12, 0.02), ncols=2)
+    save(figure, "how-grasps")
+
+
+FIGURES_BY_NAME = {
+    "stages": stages,
+    "fields": fields,
+    "models": models,
+    "grasps": grasps,
+    "anytime": anytime,
+    "timing": timing,
+    "weights": weights,
+}
 
 
 def main() -> None:

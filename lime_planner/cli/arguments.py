@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
 #: The node's parameters that say how a file's labels are read.
 LABEL_PARAMETERS = ("label_field", "leaf_labels", "stem_labels", "fruit_labels", "ignored_labels", "class_costs")
 #: And how a base that moves is taken: recordings know of it.
-OF_RECORDINGS = ("fixed_frame", "max_base_motion_m")
+OF_RECORDINGS = ("fixed_frame", "max_base_motion_m", "viewpoints")
 
 #: Option, input of the planner, what comes there.
 _TOPICS = (
@@ -30,6 +31,25 @@ _TOPICS = (
 )
 
 
+_NAME = r"[A-Za-z_][A-Za-z0-9_]*"
+
+
+def _topic(text: str) -> str:
+    """Parse the name of a topic."""
+    if not re.fullmatch(rf"(~?/)?{_NAME}(/{_NAME})*", text):
+        raise argparse.ArgumentTypeError(
+            f"{text!r} is no name of a topic: letters, digits and _, parts divided by /, none begins with a digit"
+        )
+    return text
+
+
+def _namespace(text: str) -> str:
+    """Parse a namespace, with or without slashes around it."""
+    if text.strip("/") and not re.fullmatch(rf"/?{_NAME}(/{_NAME})*/?", text):
+        raise argparse.ArgumentTypeError(f"{text!r} is no namespace: letters, digits and _, parts divided by /, none begins with a digit")
+    return text
+
+
 def add_parameters(parser: argparse.ArgumentParser, *, live: bool = True) -> None:
     """Declare the options for the planner's parameters.
 
@@ -39,7 +59,7 @@ def add_parameters(parser: argparse.ArgumentParser, *, live: bool = True) -> Non
     """
     parser.add_argument("--params", type=Path, metavar="FILE", help="the planner's ROS parameter file")
     what = "namespace of the planner and its topics" if live else "with --params: namespace of the planner whose section counts"
-    parser.add_argument("--namespace", default="", metavar="NS", help=what)
+    parser.add_argument("--namespace", default="", type=_namespace, metavar="NS", help=what)
     parser.add_argument(
         "--set", action="append", default=[], metavar="PARAMETER=VALUE", dest="assignments", help="set any parameter; repeatable"
     )
@@ -54,7 +74,7 @@ def add_topics(parser: argparse.ArgumentParser, *, without: tuple[str, ...] = ()
     """
     for option, name, what in _TOPICS:
         if name not in without:
-            parser.add_argument(option, metavar="TOPIC", dest=f"topic_{name}", help=f"{what} (default {name})")
+            parser.add_argument(option, type=_topic, metavar="TOPIC", dest=f"topic_{name}", help=f"{what} (default {name})")
 
 
 def topics_of(args: argparse.Namespace) -> dict[str, str]:
@@ -76,7 +96,7 @@ def read_bag(
 
     Args:
         path: the recording.
-        values: parameters that were set; those of the labels and of a moving base are used.
+        values: parameters that were set; those of the labels, of a moving base and of the cameras are used.
         robot: the arm, whose own points are removed.
         padding_m: how close to the arm these are.
         topics: topics by input, where they were given.
@@ -87,14 +107,15 @@ def read_bag(
         ParameterError: two classes share a label.
     """
     from lime_planner.collision.arm_filter import make_arm_filter
+    from lime_planner.core.parameters import frozen
     from lime_planner.scene.from_clouds import Labels
     from lime_planner.scene.from_recording import Frame, read_recording
 
     of = label_options(values)
     classes = (tuple(of[name]) for name in ("leaf_labels", "stem_labels", "fruit_labels", "ignored_labels", "class_costs"))
     labels = Labels(of["label_field"], *classes)
-    moving = {name: values[name] for name in OF_RECORDINGS if name in values}
-    frame = Frame(robot.planning_frame, robot.joint_names, make_arm_filter(robot), padding_m, **moving)
+    given = frozen({name: values[name] for name in OF_RECORDINGS if name in values})
+    frame = Frame(robot.planning_frame, robot.joint_names, make_arm_filter(robot), padding_m, **given)
     return read_recording(path, frame, topics=topics, at_s=at_s, labels=labels)
 
 
@@ -164,6 +185,7 @@ def load_arm(settings: Settings) -> Robot:
         joint_names=settings.arm_joints or None,
         planning_frame=settings.planning_frame or None,
         tool_frame=settings.tool_frame or None,
+        locked=settings.locked,
     )
     for sentence in robot.warnings:
         warn(sentence)

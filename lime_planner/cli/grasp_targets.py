@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import argparse
-import json
+import zipfile
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from lime_planner.core.errors import ParameterError, ProblemError, UsageError
+from lime_planner.core.validation import TextFileError, read_json, read_text
 
 if TYPE_CHECKING:
     import numpy.typing as npt
@@ -81,16 +82,16 @@ def read_candidates(path: Path) -> npt.ArrayLike:
     suffix = path.suffix.lower()
     try:
         if suffix == ".json":
-            data = json.loads(path.read_text(encoding="utf-8"))
+            data = read_json(path)
             return data.get("candidates", []) if isinstance(data, dict) else data  # type: ignore[no-any-return]
         if suffix in (".csv", ".txt"):
-            lines = [line.split("#")[0].replace(",", " ").replace(";", " ").split() for line in path.read_text("utf-8").splitlines()]
+            lines = [line.split("#")[0].replace(",", " ").replace(";", " ").split() for line in read_text(path).splitlines()]
             rows = [line for line in lines if line]
             if rows and not _all_numbers(rows[0]):  # a heading
                 rows = rows[1:]
             for number, row in enumerate(rows, start=1):
                 if len(row) != 7 or not _all_numbers(row):
-                    raise ParameterError(f"{path}: pose {number} needs 7 numbers x y z qx qy qz qw, got {' '.join(row)!r}")
+                    raise ParameterError(f"pose {number} needs 7 numbers x y z qx qy qz qw, got {' '.join(row)!r}")
             return [[float(word) for word in row] for row in rows]
         if suffix in (".npy", ".npz"):
             loaded = np.load(path, allow_pickle=False)
@@ -99,10 +100,12 @@ def read_candidates(path: Path) -> npt.ArrayLike:
             names = list(loaded.files)
             name = "candidates" if "candidates" in names else names[0] if len(names) == 1 else ""
             if not name:
-                raise ParameterError(f"{path}: has no array `candidates`; it has {', '.join(names) or 'none'}")
+                raise ParameterError(f"it has no array `candidates`, but {', '.join(names) or 'none'}")
             return np.asarray(loaded[name])
-    except (OSError, UnicodeDecodeError, ValueError) as error:
+    except (ParameterError, TextFileError, OSError) as error:
         raise ParameterError(f"{path}: cannot be read as grasp candidates ({getattr(error, 'strerror', None) or error})") from None
+    except (ValueError, EOFError, zipfile.BadZipFile):
+        raise ParameterError(f"{path}: cannot be read as grasp candidates (it is no {suffix} file, or holds no numbers)") from None
     raise ParameterError(f"{path}: ends in none of .csv, .txt, .json, .npy, .npz")
 
 

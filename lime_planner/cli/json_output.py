@@ -8,9 +8,12 @@ import json
 import os
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from lime_planner.core.errors import ParameterError
+
+if TYPE_CHECKING:
+    import numpy.typing as npt
 
 STDOUT = "-"
 
@@ -24,6 +27,11 @@ def add_json(parser: argparse.ArgumentParser, what: str) -> None:
 def is_stdout(destination: str | os.PathLike[str] | None) -> bool:
     """Tell whether JSON takes the place of the text on standard output."""
     return destination is not None and str(destination) == STDOUT
+
+
+def as_lists(array: npt.NDArray[Any] | None) -> Any:
+    """Return an array as JSON takes it, None for none."""
+    return None if array is None else array.tolist()
 
 
 def emit_json(destination: str | os.PathLike[str], figures: Mapping[str, Any]) -> None:

@@ -18,6 +18,7 @@ from typing import Any
 
 from lime_planner.core.errors import ParameterError
 from lime_planner.core.parameters import NODE_PARAMETERS, PARAMETERS, parse_assignment, read_yaml, settings_from, unknown_names, validate
+from lime_planner.core.validation import TextFileError, read_text
 
 NODE = "lime_planner"
 
@@ -55,11 +56,14 @@ def read_parameter_file(path: Path, namespace: str = "", node: str = NODE) -> Pa
 
     name = "/".join(["", *namespace.strip("/").split("/"), node] if namespace.strip("/") else ["", node])
     try:
-        content = read_yaml(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError) as error:
-        raise ParameterError(f"{path}: cannot be read ({getattr(error, 'strerror', None) or error})") from None
-    except yaml.YAMLError as error:
-        raise ParameterError(f"{path}: is not YAML ({' '.join(str(error).split())})") from None
+        content = read_yaml(read_text(path))
+    except TextFileError as error:
+        raise ParameterError(f"{path}: cannot be read ({error})") from None
+    except (yaml.YAMLError, RecursionError) as error:
+        mark = getattr(error, "problem_mark", None)
+        problem = str(getattr(error, "problem", None) or "it cannot be read on from there")
+        where = "" if mark is None else f" (line {mark.line + 1}, column {mark.column + 1}: {problem})"
+        raise ParameterError(f"{path}: is not YAML{where}") from None
     try:
         sections = list(_sections(content))
         mine = [values for key, values in sections if matches(key, name)]

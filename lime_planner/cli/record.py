@@ -109,8 +109,10 @@ def _from_bag(args: argparse.Namespace, values: dict[str, Any], settings: Settin
 
     with working("reading the recording"):
         recorded = read_bag(args.bag, values, robot, settings.self_filter_padding_m, topics_of(args), args.at)
+    scene = recorded.scene
+    targets = [target for target in (scene.target_pose, scene.fruit_centres, scene.grasp_candidates) if target is not None]
     found = {
-        "NO_TARGET: the recording has no grasp_target": recorded.scene.target_pose,
+        "NO_TARGET: the recording has no grasp_target, fruit_target or grasp_candidates": targets or None,
         "NO_JOINT_STATE: it has no joint_states": recorded.start,
     }
     missing = [sentence for sentence, value in found.items() if value is None]
@@ -120,18 +122,18 @@ def _from_bag(args: argparse.Namespace, values: dict[str, Any], settings: Settin
 
 
 def _report(args: argparse.Namespace, scene: Scene, start: Start | None, heard: list[str], missing: list[str]) -> int:
-    from lime_planner.cli.json_output import emit_json, is_stdout
+    from lime_planner.cli.json_output import as_lists, emit_json, is_stdout
 
     scene.save(args.out, start)
     counts = {"leaf": len(scene.leaf_points), "stem": len(scene.stem_points), "fruit": len(scene.fruit_points)}
     if args.json is not None:
-        target = None if scene.target_pose is None else [float(v) for v in scene.target_pose]
         angles = None if start is None else dict(zip(start.joint_names, map(float, start.q), strict=True))
         emit_json(
             args.json,
             {
                 **{"file": str(args.out), "frame_id": scene.frame_id, "points": counts, "counts": dict(scene.counts)},
-                **{"target_pose": target, "start": angles, "heard": heard, "missing": missing},
+                **{name: as_lists(getattr(scene, name)) for name in ("target_pose", "fruit_centres", "grasp_candidates", "viewpoints")},
+                **{"start": angles, "heard": heard, "missing": missing},
             },
         )
     if not is_stdout(args.json):

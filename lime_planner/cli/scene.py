@@ -11,8 +11,13 @@ from typing import TYPE_CHECKING, Any
 from lime_planner.core.errors import ParameterError
 
 if TYPE_CHECKING:
+    import numpy as np
+    import numpy.typing as npt
+
     from lime_planner.scene.files import Start
     from lime_planner.scene.scene import Scene
+
+_LISTED = 8  # places that are named one by one
 
 _PLANT_EPILOG = """\
 The file holds points, labels (0 leaf, 1 stem, 2 lime), a grasp pose at the lime
@@ -174,8 +179,8 @@ def run_see(args: argparse.Namespace) -> int:
         if not least <= value <= most:
             raise ParameterError(f"--{name.replace('_', '-')} is {value:g}; it must lie between {least:g} and {most:g}")
     for place in (*args.viewpoints, *([args.at] if args.at else [])):
-        if not np.isfinite(place).all():
-            raise ParameterError(f"{' '.join(map(str, place))} is no place: three finite numbers are needed")
+        if not (np.abs(place) <= 1000.0).all():
+            raise ParameterError(f"{' '.join(f'{v:g}' for v in place)} is no place: three numbers from -1000 to 1000 m are needed")
     check_writable(args.out)
     camera = Camera(field_of_view_rad=float(np.radians(args.field_of_view)), edge_drop_out=args.drop_out, noise_m=args.noise)
     with working("looking"):
@@ -246,6 +251,12 @@ def run_info(args: argparse.Namespace) -> int:
     print(f"frame: {scene.frame_id}")
     with np.printoptions(precision=4, suppress=True):
         print(f"target: {scene.target_pose if scene.target_pose is not None else 'none'}")
+    if scene.fruit_centres is not None and len(scene.fruit_centres):
+        print(f"fruit by number: {_listed(scene.fruit_centres)}")
+    if scene.grasp_candidates is not None:
+        print(f"grasp candidates: {len(scene.grasp_candidates)}")
+    if scene.viewpoints is not None:
+        print(f"seen from: {_listed(scene.viewpoints)}")
     if start is not None:
         print("start: " + ", ".join(f"{name} {angle:.4f}" for name, angle in zip(start.joint_names, start.q, strict=True)))
     dropped = {name: count for name, count in scene.counts.items() if count and name != "received"}
@@ -253,6 +264,12 @@ def run_info(args: argparse.Namespace) -> int:
     for note in scene.notes:
         print(f"warning: {note}", file=sys.stderr)
     return 0
+
+
+def _listed(places: npt.NDArray[np.floating]) -> str:
+    """Return places (N, 3) [m] with their numbers, the first few of many."""
+    texts = [f"{k} at " + " ".join(f"{value:.3f}" for value in place) for k, place in enumerate(places[:_LISTED])]
+    return ", ".join(texts) + (f" and {len(places) - _LISTED} more" if len(places) > _LISTED else "")
 
 
 def _labels(path: Path, options: Mapping[str, Any]) -> list[dict[str, Any]]:
@@ -276,6 +293,8 @@ def _labels(path: Path, options: Mapping[str, Any]) -> list[dict[str, Any]]:
 
 
 def _figures(path: Path, scene: Scene, start: Start | None) -> dict[str, Any]:
+    from lime_planner.cli.json_output import as_lists
+
     points = {"leaf": scene.leaf_points, "stem": scene.stem_points, "fruit": scene.fruit_points}
     corners = {name: [array.min(axis=0).tolist(), array.max(axis=0).tolist()] for name, array in points.items() if len(array)}
     return {
@@ -283,7 +302,10 @@ def _figures(path: Path, scene: Scene, start: Start | None) -> dict[str, Any]:
         "frame_id": scene.frame_id,
         "points": {name: len(array) for name, array in points.items()},
         "extent_m": corners,
-        "target_pose": None if scene.target_pose is None else scene.target_pose.tolist(),
+        "target_pose": as_lists(scene.target_pose),
+        "fruit_centres": as_lists(scene.fruit_centres),
+        "grasp_candidates": None if scene.grasp_candidates is None else len(scene.grasp_candidates),
+        "viewpoints": as_lists(scene.viewpoints),
         "start": None if start is None else dict(zip(start.joint_names, start.q.tolist(), strict=True)),
         "counts": dict(scene.counts),
     }

@@ -19,7 +19,7 @@ from lime_planner.collision.exact_points import PointTest, boxes_of, winds_round
 from lime_planner.core.errors import ProblemError
 from lime_planner.core.types import Array
 from lime_planner.robot.kinematics import forward_kinematics, tool_pose
-from lime_planner.robot.meshes import bvh_of
+from lime_planner.robot.meshes import LinkObjects
 from lime_planner.robot.model import Robot
 
 _POLL_EVERY = 16  # configurations between two looks at should_stop
@@ -131,7 +131,7 @@ class ExactChecker:
         self._extents = np.empty((len(robot.links), 2, 3))
         self._tool = np.empty((3, 4))
         self._near = np.empty(len(self._pairs), dtype=np.int64)
-        self._objects = [fcl.CollisionObject(bvh_of(link)) for link in robot.links]
+        self._objects = LinkObjects(robot.links)
         self._box_objects = [self._fcl_box(box) for box in self._keep_out]
         self._request = fcl.CollisionRequest()
 

@@ -10,7 +10,7 @@ import numpy as np
 from lime_planner.collision.exact_kernels import LinkBoxes, lower_bounds, make_blocks, near_points, winding_number
 from lime_planner.collision.link_grids import HALF_DIAGONAL_M, LinkGrids, build_grids
 from lime_planner.core.types import Array
-from lime_planner.robot.meshes import LinkMesh, bvh_of
+from lime_planner.robot.meshes import LinkMesh, LinkObjects
 from lime_planner.robot.model import Robot
 
 _BOXES: WeakKeyDictionary[Robot, LinkBoxes] = WeakKeyDictionary()
@@ -95,7 +95,7 @@ class PointTest:
             offset = self.blocks.points - spared_centre
             offset[:, 2] -= np.clip(offset[:, 2], *spared_heights_m)
             self.spared = np.linalg.norm(offset, axis=1) <= spared_radius_m
-        self._meshes = [fcl.CollisionObject(bvh_of(link)) for link in robot.links]
+        self._meshes = LinkObjects(robot.links)
         self._collision, self._distance = fcl.CollisionRequest(), fcl.DistanceRequest()
         self._resize(4096)
 

@@ -15,6 +15,7 @@ import os
 import re
 import shutil
 import sys
+import tempfile
 import time
 from collections.abc import Callable, Iterator
 from functools import cache
@@ -147,12 +148,22 @@ def note_all_compiled() -> None:
 _Locator: Any = getattr(caching, "UserProvidedCacheLocator", None) or getattr(caching, "_UserProvidedCacheLocator", object)
 
 
+@cache
+def _ensure_writable(folder: str) -> None:
+    os.makedirs(folder, exist_ok=True)
+    tempfile.TemporaryFile(dir=folder).close()
+
+
 class KernelLocator(_Locator):
     """Tells Numba where the kernels of a source file lie: in `kernel_folder`, wherever the file itself is."""
 
     def __init__(self, py_func: FunctionType, py_file: str) -> None:
         super().__init__(py_func, py_file)
         self._cache_path = str(kernel_folder(py_file))
+
+    def ensure_cache_path(self) -> None:
+        """Find out whether the folder can be written; once for all of a file's functions, which each process has three hundred of."""
+        _ensure_writable(self._cache_path)
 
     def get_source_stamp(self) -> str:
         """Return the same for ever: the folder's name already tells versions apart, and the time of a checkout says nothing."""

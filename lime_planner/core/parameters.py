@@ -103,6 +103,7 @@ class Settings:
     arm_joints: tuple[str, ...] = _row((), "The arm's joints in driver order; empty: the model's own.", read_only=True)
     planning_frame: str = _row("", "Frame of clouds and targets while planning: the root of the arm's chain; empty: the model's.", read_only=True)
     tool_frame: str = _row("", "Frame that must reach the target; empty: the model's `<name>_end_effector`.", read_only=True)
+    finger_positions: tuple[str, ...] = _row((), "Where the fingers are on the way, and any other joint outside the arm: `JOINT: POSITION` each; those not named stay as the model has them, open in the built-in ones.", "rad or m", read_only=True)
     planner: str = _row(DEFAULT_PLANNER, "Which search: the default, or one of the paper's three.", choices=tuple(PLANNERS))
     time_budget_s: float = _row(0.5, "Search time; the best path found until then is used.", "s", 0.01, 600.0)
     iterations: int = _row(0, "Search iterations instead of time (the same seed then gives the same path); 0: by time.", "", 0, 100_000_000)
@@ -135,7 +136,7 @@ class Settings:
     approach_distance_m: float = _row(0.08, "Length of the straight last stretch along the tool's +z, orientation kept; 0: none.", "m", 0.0, 0.5, shapes_obstacles=True)
     min_approach_distance_m: float = _row(0.03, "Shorter stretches are refused for fruit and candidates; an exact pose takes what there is.", "m", 0.0, 0.5)
     approach_cone_rad: float = _row(1.5707963267948966, "Largest angle between an approach and the ray from the base to the fruit, or a pose's own approach.", "rad", 0.0, 3.141592653589793)
-    max_grasps: int = _row(600, "Approaches tried for a target that leaves something open; candidates are all tried.", "", 1, 10_000)
+    max_grasps: int = _row(1000, "Approaches tried for a target that leaves something open, four in ten of them only where all touch leaves; candidates are all tried.", "", 1, 10_000)
     fruit_radius_m: float = _row(0.025, "Radius of a target fruit of which the cloud shows nothing; 0: such a target is refused.", "m", 0.0, 0.2)
     stalk_radius_m: float = _row(0.015, "Impermeable points this close to the upright line over a fruit's top, up to 0.05 m, are its stalk and let go for the hand; 0: none.", "m", 0.0, 0.05, shapes_obstacles=True)
     self_filter_padding_m: float = _row(0.01, "Points of live clouds this close to the arm's own meshes are taken for the arm.", "m", 0.0, 0.1)
@@ -154,6 +155,11 @@ class Settings:
     def weight(self) -> float:
         """Cost of one radian of leaf contact [1/rad]: `leaf_weight`, or C_perm / δ."""
         return self.leaf_weight if self.leaf_weight >= 0.0 else self.c_perm / self.step_rad
+
+    @property
+    def locked(self) -> dict[str, float]:
+        """Positions of joints outside the arm by name, from `finger_positions` [rad or m]."""
+        return _joint_positions("finger_positions", self.finger_positions)
 
     @property
     def floor_height_m(self) -> float:
@@ -185,6 +191,7 @@ class NodeSettings:
     warm_up_timeout_s: float = _row(600.0, "How long a request waits for the compilation of the kernels before it answers NOT_READY.", "s", 0.0, 3600.0)
     fuse_views: bool = _row(True, "Whether what earlier clouds showed stays until a later ray passes through it; false: the newest cloud is all that is known.")
     view_memory_s: float = _row(60.0, "What was last seen longer ago than this is forgotten.", "s", 0.1, 3600.0)
+    viewpoints: tuple[float, ...] = _row((), "Where the cameras stand whose clouds do not come in a frame of their own (but in the planning frame, fixed_frame, `map`, `odom`, `base_link` or the like): x y z of each, in the planning frame. Empty: it is not known where such clouds were seen from.", "m", length_multiple=3)
     camera_frame: str = _row("", "Frame of a depth camera that the arm carries: a link of its description, or fastened to one by `static_transforms` or `/tf_static`; its clouds were seen from where the measured joints carried it. Empty: none.", read_only=True)
     look_first: bool = _row(False, "Whether `~/plan` moves the camera of camera_frame first, until unseen_enough or max_looks.")
     max_looks: int = _row(3, "How often `~/plan` looks at most with look_first.", "", 0, 20)
@@ -204,6 +211,27 @@ class NodeSettings:
     viewer_port: int = _row(0, "Port of the 3-D page; 0: off.", "", 0, 65535, read_only=True)
     viewer_host: str = _row("127.0.0.1", "Address that the 3-D page is served at; elsewhere it is for looking only, unless LIME_PLANNER_VIEWER_TOKEN is set.", read_only=True)
 # fmt: on
+
+
+def _joint_positions(name: str, texts: Iterable[str]) -> dict[str, float]:
+    """Read the texts `JOINT: POSITION` of a parameter: positions by joint [rad or m].
+
+    Raises:
+        ParameterError: a text that is no joint and number, or a joint named twice.
+    """
+    positions: dict[str, float] = {}
+    for text in texts:
+        joint, colon, number = (part.strip() for part in text.rpartition(":"))
+        try:
+            position = float(number)
+        except ValueError:
+            position = math.nan
+        if not colon or not joint or not math.isfinite(position):
+            raise ParameterError(f"{name}: {text!r} is not JOINT: POSITION, such as 'j2s6s200_joint_finger_1: 0.5'")
+        if joint in positions:
+            raise ParameterError(f"{name} names the joint {joint} twice")
+        positions[joint] = position
+    return positions
 
 
 def _table(settings: type) -> dict[str, Parameter]:
@@ -230,18 +258,20 @@ def obstacle_settings(settings: Settings) -> tuple[Any, ...]:
     return tuple(getattr(settings, name) for name in _SHAPING)
 
 
+_IN_WORDS = {bool: "true or false", int: "a whole number", float: "a number", str: "text"}
+
+
 def _number(parameter: Parameter, value: Any, element: type) -> Any:
     if element is bool or isinstance(value, bool):
         if element is bool and isinstance(value, bool):
             return value
-        raise ParameterError(f"{parameter.name} must be a {element.__name__}, got {value!r}")
+        raise ParameterError(f"{parameter.name} must be {_IN_WORDS[element]}, got {value!r}")
     if element is str:
         if not isinstance(value, str):
             raise ParameterError(f"{parameter.name} must be text, got {value!r}")
         return value
-    wanted = "whole number" if element is int else "number"
     if not isinstance(value, Real):  # NumPy's numbers are such too
-        raise ParameterError(f"{parameter.name} must be a {wanted}, got {value!r}")
+        raise ParameterError(f"{parameter.name} must be {_IN_WORDS[element]}, got {value!r}")
     try:
         finite = math.isfinite(value)
     except OverflowError:  # a whole number beyond every float
@@ -250,7 +280,7 @@ def _number(parameter: Parameter, value: Any, element: type) -> Any:
         raise ParameterError(f"{parameter.name} must be finite, got {value!r}")
     number = element(value)
     if element is int and number != value:
-        raise ParameterError(f"{parameter.name} must be a {wanted}, got {value!r}")
+        raise ParameterError(f"{parameter.name} must be {_IN_WORDS[element]}, got {value!r}")
     low, high = parameter.minimum, parameter.maximum
     if (low is not None and number < low) or (high is not None and number > high):
         raise ParameterError(f"{parameter.name} is {number!r}; allowed: {parameter.range_text} {parameter.unit}".rstrip())
@@ -318,6 +348,7 @@ def _check_together(settings: Settings) -> None:
                 raise ParameterError(f"{name}: box {k // 6} has its minimum {list(low)} not below its maximum {list(high)}")
     if len(settings.workspace_box) > 6:
         raise ParameterError(f"workspace_box needs 6 numbers, got {len(settings.workspace_box)}")
+    _joint_positions("finger_positions", settings.finger_positions)
 
 
 def frozen(checked: Mapping[str, Any]) -> dict[str, Any]:

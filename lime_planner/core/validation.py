@@ -1,7 +1,9 @@
-"""A caller's numbers, taken as arrays or refused in a sentence."""
+"""A caller's numbers, taken as arrays or refused in a sentence; the same for text and JSON in files that users name."""
 
 from __future__ import annotations
 
+import json
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -50,3 +52,35 @@ def finite_vector(name: str, value: npt.ArrayLike, n: int) -> Array:
     if array.shape != (n,) or not np.isfinite(array).all():
         raise ProblemError(f"{name} must be {n} finite numbers, got {shown(value)}")
     return array
+
+
+class TextFileError(ValueError):
+    """A file that cannot be read; the text says why, without the file's name."""
+
+
+def read_text(path: Path) -> str:
+    """Return a file's text.
+
+    Raises:
+        TextFileError: it cannot be opened, or is no UTF-8.
+    """
+    try:
+        return path.read_text(encoding="utf-8")
+    except UnicodeDecodeError:
+        raise TextFileError("it is no text in UTF-8") from None
+    except OSError as error:
+        raise TextFileError(error.strerror or "it cannot be opened") from None
+
+
+def read_json(path: Path) -> Any:
+    """Return what a JSON file holds.
+
+    Raises:
+        TextFileError: as `read_text`; or it is not JSON; line and column are named.
+    """
+    try:
+        return json.loads(read_text(path))
+    except json.JSONDecodeError as error:
+        raise TextFileError(f"it is not JSON from line {error.lineno}, column {error.colno} on") from None
+    except RecursionError:
+        raise TextFileError("it is JSON that is nested too deeply") from None

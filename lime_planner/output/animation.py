@@ -12,11 +12,14 @@ import numpy.typing as npt
 
 from lime_planner.core.atomic_files import replacing
 from lime_planner.core.errors import ParameterError
+from lime_planner.core.geometry import matrix_to_pose
 from lime_planner.core.types import Array, Bool, Float32, Int64, UInt8
+from lime_planner.output.approach_lines import APPROACH_COLOURS, APPROACH_WORDS, LENGTH_M, approach_lines
 from lime_planner.output.picture import ARM, FREE_PATH, LEAFY_PATH, LIME, STEM, arm_mesh, fruit_layer, in_sight, leaf_layer
 from lime_planner.output.render import Layer, View, cloud_layer, compose, halved, mesh_layer
 from lime_planner.output.timeline import Timeline, timeline_of
 from lime_planner.pipeline import Pipeline
+from lime_planner.pipeline.goals import FREE
 from lime_planner.pipeline.plan_record import PlanRecord
 from lime_planner.robot.model import Robot
 from lime_planner.scene.scene import Scene
@@ -30,8 +33,12 @@ _MARGIN_M = 0.05
 _CAPTION_PIXELS = 44
 _LEAF_OVER_ARM = 0.5
 _TOUCHED_BEFORE = (0.96, 0.72, 0.48)
-_HELD_S = (0.5, 1.2)  # first and last picture
-_COMMON_COLOURS = 84
+_HELD_S = (0.5, 1.2)  # first and last picture of the motion
+_CHOICE_S = 1.6  # each of the two before: the approaches that were tried, and the one that was chosen
+_APPROACHES_SHOWN = 250
+CHOSEN = (0.05, 0.25, 0.75)
+_LINE_M, _CHOSEN_M = 0.0012, 0.004  # half the thickness of the lines
+_COMMON_COLOURS = 66
 _IN_FRONT_M = 10.0
 _FINER = 0.004  # spacing of the points that the path is drawn with [m]
 
@@ -69,11 +76,12 @@ def animate(
     count = max(2, round(timeline.duration_s * fps) + 1)
     times = np.linspace(0.0, timeline.duration_s, count)
     stage = _Stage(pipeline.robot, shown, timeline, width)
-    pictures = []
+    pictures = stage.choice()
+    held = [round(_CHOICE_S * fps)] * len(pictures)
     for number, t_s in enumerate(times):
         pictures.append(stage.picture(float(t_s)))
         progress(number + 1, count)
-    held = [round(seconds * fps) for seconds in _HELD_S]
+    held += [1 + round(_HELD_S[0] * fps), *[1] * (count - 2), 1 + round(_HELD_S[1] * fps)]
     try:
         with replacing(path) as temporary:
             write = _write_gif if path.suffix.lower() == ".gif" else _write_mp4
@@ -98,6 +106,26 @@ class _Stage:
             fruit_layer(self._view, seen["fruit"], self._scene),
         ]
         self._touched: dict[bytes, Layer] = {}
+        self._result = shown.result
+
+    def choice(self) -> list[Picture]:
+        """Draw the approaches that were tried, then the one that was chosen; nothing where there was nothing to choose."""
+        poses, outcomes, chosen = self._result.approaches, self._result.approach_outcomes, self._result.T_base_tool
+        if not len(poses) or chosen is None:
+            return []
+        tried = np.unique(np.linspace(0, len(poses) - 1, _APPROACHES_SHOWN).round().astype(int))
+        lines = {outcome: approach_lines(poses[tried[outcomes[tried] == outcome]]) for outcome in APPROACH_COLOURS}
+        arm = (mesh_layer(self._view, *arm_mesh(self._robot, self._timeline.configuration(0.0)), ARM), 1.0)
+        solid = [(_strokes(self._view, ends, APPROACH_COLOURS[outcome], _LINE_M), 1.0) for outcome, ends in lines.items() if len(ends)]
+        way = approach_lines(matrix_to_pose(chosen)[None], 0.0, max(self._result.straight_approach_m, LENGTH_M))
+        one = _strokes(self._view, way, CHOSEN, _CHOSEN_M)
+        legend = [(APPROACH_WORDS[outcome], APPROACH_COLOURS[outcome]) for outcome, ends in lines.items() if len(ends)]
+        free = int((outcomes == FREE).sum())
+        words = (f"{len(poses)} approaches tried, {free} free", "the one that is chosen")
+        return [
+            self._framed(halved(compose(self._plant, [arm, *layers], _LEAF_OVER_ARM)), text, entries)
+            for text, layers, entries in ((words[0], solid, legend), (words[1], [(one, 1.0)], [("straight last stretch", CHOSEN)]))
+        ]
 
     def picture(self, t_s: float) -> Picture:
         """Draw the moment."""
@@ -114,7 +142,7 @@ class _Stage:
             if len(points):
                 solid.append((_flat(self._view, points, colour), 1.0))
         image = halved(compose(plant, solid, _LEAF_OVER_ARM))
-        return self._captioned((255.0 * image).clip(0, 255).astype(np.uint8), t_s, now)
+        return self._captioned(image, t_s, now)
 
     def _lit(self, marks: Bool, colour: tuple[float, float, float], lift_m: float) -> Layer:
         key = marks.tobytes() + bytes(str(colour), "ascii")
@@ -122,15 +150,7 @@ class _Stage:
             self._touched[key] = _leaves(self._view, self._scene, self._timeline.leaf_points[marks], colour, lift_m)
         return self._touched[key]
 
-    def _captioned(self, image: Picture, t_s: float, now: Bool) -> Picture:
-        from matplotlib import get_data_path
-        from PIL import Image, ImageDraw, ImageFont
-
-        height, width = image.shape[0] // 2 * 2 + _CAPTION_PIXELS, image.shape[1] // 2 * 2  # video codecs want even numbers
-        canvas = Image.new("RGB", (width, height), "white")
-        canvas.paste(Image.fromarray(image), (0, _CAPTION_PIXELS))
-        draw = ImageDraw.Draw(canvas)
-        font = ImageFont.truetype(str(Path(get_data_path()) / "fonts" / "ttf" / "DejaVuSans.ttf"), 14)
+    def _captioned(self, image: Float32, t_s: float, now: Bool) -> Picture:
         ids = self._scene.leaf_ids
         touched = self._timeline.leaf_points[now]
         count = len(touched) if ids is None else len(np.unique(ids[touched]))
@@ -138,8 +158,20 @@ class _Stage:
             f"{count} {'leaf point' if ids is None else 'leaf'}" if count == 1 else f"{count} {'leaf points' if ids is None else 'leaves'}"
         )
         clock = f"{t_s:4.1f} s" if self._timeline.timed else f"{t_s:4.1f} rad"
-        draw.text((12, 6), f"{clock}   touching {words}", fill=(30, 30, 30), font=font)
-        legend = (("tool's path, free", FREE_PATH), ("touching leaves", LEAFY_PATH), ("touched before", _TOUCHED_BEFORE))
+        legend = [("tool's path, free", FREE_PATH), ("touching leaves", LEAFY_PATH), ("touched before", _TOUCHED_BEFORE)]
+        return self._framed(image, f"{clock}   touching {words}", legend)
+
+    def _framed(self, image: Float32, words: str, legend: list[tuple[str, tuple[float, float, float]]]) -> Picture:
+        """Put words and a legend over a picture (H, W, 3) of 0 to 1."""
+        from matplotlib import get_data_path
+        from PIL import Image, ImageDraw, ImageFont
+
+        height, width = image.shape[0] // 2 * 2 + _CAPTION_PIXELS, image.shape[1] // 2 * 2  # video codecs want even numbers
+        canvas = Image.new("RGB", (width, height), "white")
+        canvas.paste(Image.fromarray((255.0 * image).clip(0, 255).astype(np.uint8)), (0, _CAPTION_PIXELS))
+        draw = ImageDraw.Draw(canvas)
+        font = ImageFont.truetype(str(Path(get_data_path()) / "fonts" / "ttf" / "DejaVuSans.ttf"), 14)
+        draw.text((12, 6), words, fill=(30, 30, 30), font=font)
         small, left = font.font_variant(size=11), 12
         for text, colour in legend:
             draw.rectangle((left, 30, left + 10, 40), fill=tuple(int(255 * c) for c in colour))
@@ -192,6 +224,15 @@ def _flat(view: View, points: Array, colour: tuple[float, float, float]) -> Laye
     return layer
 
 
+def _strokes(view: View, ends: Array, colour: tuple[float, float, float], half_m: float) -> Layer:
+    """Draw lines (A, 2, 3) in one colour, in front of everything."""
+    shares = np.linspace(0.0, 1.0, 40)[:, None]
+    points = (ends[:, None, 0] + shares * (ends[:, None, 1] - ends[:, None, 0])).reshape(-1, 3)
+    layer = cloud_layer(view, points, colour, (half_m, half_m))
+    layer.colour[np.isfinite(layer.height_m)] = colour
+    return Layer(layer.colour, layer.height_m + np.float32(_IN_FRONT_M))
+
+
 def _dense(line: Array, wanted: Bool) -> Array:
     """Return points close together along the parts of a line (K, 3) whose ends are wanted (K,)."""
     pieces = [np.zeros((0, 3))]
@@ -203,9 +244,8 @@ def _dense(line: Array, wanted: Bool) -> Array:
 
 
 def _held(pictures: list[Picture], held: list[int]) -> Iterator[Picture]:
-    yield from [pictures[0]] * held[0]
-    yield from pictures
-    yield from [pictures[-1]] * held[1]
+    for picture, times in zip(pictures, held, strict=True):
+        yield from [picture] * times
 
 
 def _write_gif(path: Path, pictures: list[Picture], held: list[int], fps: float) -> None:
@@ -214,15 +254,13 @@ def _write_gif(path: Path, pictures: list[Picture], held: list[int], fps: float)
     # One palette for all, so that nothing flickers: common colours, and those that mean something however rare they are.
     sample = Image.fromarray(np.concatenate([pictures[0], pictures[len(pictures) // 2], pictures[-1]]))
     common = (sample.quantize(_COMMON_COLOURS, method=Image.Quantize.MEDIANCUT).getpalette() or [])[: 3 * _COMMON_COLOURS]
-    colours = np.array([LEAFY_PATH, _TOUCHED_BEFORE, FREE_PATH, LIME])
+    colours = np.array([LEAFY_PATH, _TOUCHED_BEFORE, FREE_PATH, LIME, CHOSEN, *APPROACH_COLOURS.values()])
     meaning = np.round(255 * colours[:, None] * np.array([1.0, 0.8, 0.6])[:, None]).astype(int).ravel().tolist()
     palette = Image.new("P", (1, 1))
     palette.putpalette([*common, *meaning])
     frames = [Image.fromarray(picture).quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures]
     step_ms = round(1000.0 / fps / 10.0) * 10  # GIF counts in hundredths of a second
-    durations = [step_ms] * len(frames)
-    durations[0] += held[0] * step_ms
-    durations[-1] += held[1] * step_ms
+    durations = [times * step_ms for times in held]
     frames[0].save(path, format="GIF", save_all=True, append_images=frames[1:], duration=durations, loop=0, optimize=False)
 
 

@@ -156,19 +156,24 @@ def _ticking(bar: Progress) -> Iterator[None]:
         thread.join()
 
 
+def _compiled(done: int) -> str:
+    """Tell how far the compiler is; where the cache holds nearly everything, there is nothing to count."""
+    return f"{_COMPILING}: {done} functions done" if done else "looking for what is not compiled yet"
+
+
 @contextlib.contextmanager
 def _compilation_shown() -> Iterator[Callable[[int, float], None]]:
     """Give a function that shows on standard error how far the compiler is: a bar, or lines where that is no terminal."""
     if sys.stderr.isatty():
-        with working(_COMPILING) as progress:
-            yield lambda done, elapsed_s: progress.say(f"{_COMPILING}: {done} functions")
+        with working(_compiled(0)) as progress:
+            yield lambda done, elapsed_s: progress.say(_compiled(done))
         return
     last_s = [-_LINE_EVERY_S]
 
     def line(done: int, elapsed_s: float) -> None:
-        if elapsed_s - last_s[0] >= _LINE_EVERY_S:
+        if elapsed_s - last_s[0] >= (_LINE_EVERY_S if elapsed_s < 60.0 else 6.0 * _LINE_EVERY_S):
             last_s[0] = elapsed_s
-            print(f"{_COMPILING}: {done} functions, {elapsed_s:.0f} s", file=sys.stderr, flush=True)
+            print(f"{_compiled(done)}, {elapsed_s:.0f} s", file=sys.stderr, flush=True)
 
     yield line
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,7 +12,9 @@ from lime_planner.core.errors import LimePlannerError, ParameterError
 from lime_planner.core.geometry import pose_to_matrix
 from lime_planner.core.status import Status
 from lime_planner.core.types import Array
+from lime_planner.core.validation import TextFileError, read_json
 from lime_planner.motion.trajectory import Trajectory
+from lime_planner.pipeline.goals import OUTCOMES
 from lime_planner.pipeline.result import NUMBERS, PlanResult
 from lime_planner.pipeline.targets import Target, target_from
 from lime_planner.robot.model import Robot
@@ -106,6 +107,13 @@ class SavedPlan:
             trajectory = Trajectory(
                 tuple(timed["joint_names"]), timed["dt_s"], np.asarray(timed["positions"]), np.asarray(timed["velocities"])
             )
+        try:  # a file of before has none
+            approaches = np.asarray(figures.get("approaches") or [], dtype=np.float64).reshape(-1, 7)
+            outcomes = np.array([OUTCOMES.index(word) for word in figures.get("approach_outcomes") or []], dtype=np.int64)
+        except (TypeError, ValueError) as error:
+            raise ParameterError(f"{self.path}: its approaches cannot be read ({error})") from None
+        if len(approaches) != len(outcomes):
+            raise ParameterError(f"{self.path}: has {len(approaches)} approaches and says of {len(outcomes)} what became of them")
         return PlanResult(
             Status[figures["status"]],
             figures["message"],
@@ -119,6 +127,8 @@ class SavedPlan:
             grasps_tried=int(figures.get("grasps_tried") or 0),
             grasps_free=int(figures.get("grasps_free") or 0),
             straight_from=int(figures.get("straight_from") or 0),
+            approaches=approaches,
+            approach_outcomes=outcomes,
             q_start=self.q_start,
             parameters=self.parameters,
             warnings=tuple(figures.get("warnings", ())),
@@ -133,9 +143,9 @@ def read_plan(path: Path) -> SavedPlan:
         ParameterError: it cannot be read, or is no plan.
     """
     try:
-        figures = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
-        raise ParameterError(f"{path}: cannot be read as a plan ({getattr(error, 'strerror', None) or 'it holds no JSON'})") from None
+        figures = read_json(path)
+    except TextFileError as error:
+        raise ParameterError(f"{path}: cannot be read as a plan ({error})") from None
     needed = ("status", "message", "planner", "seed", "waypoints")
     missing = [name for name in needed if not isinstance(figures, dict) or name not in figures]
     if missing:

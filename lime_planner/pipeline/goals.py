@@ -31,7 +31,8 @@ class Approaches:
 
     Attributes:
         poses: (A, 4, 4) T_base_tool at the target.
-        outcomes: (A,) OUT_OF_REACH, HAND_BLOCKED, ARM_BLOCKED, NO_ROOM or FREE.
+        outcomes: (A,) OUT_OF_REACH, HAND_BLOCKED, ARM_BLOCKED, NO_ROOM, FREE or DEARER. The last is reached, but would cost more than
+            enough free ones whatever stands around it: whether it is free was not looked at.
         blocked: up to a few hundred configurations (K, n) that were refused because the arm touches something hard.
     """
 
@@ -40,7 +41,8 @@ class Approaches:
     blocked: Array
 
 
-OUT_OF_REACH, HAND_BLOCKED, ARM_BLOCKED, NO_ROOM, FREE = 0, 1, 2, 3, 4  #: what became of an approach
+OUT_OF_REACH, HAND_BLOCKED, ARM_BLOCKED, NO_ROOM, FREE, DEARER = 0, 1, 2, 3, 4, 5  #: what became of an approach
+OUTCOMES = ("out_of_reach", "hand_blocked", "arm_blocked", "no_room", "free", "dearer")  #: the same as words, by number
 
 
 @dataclass(frozen=True)

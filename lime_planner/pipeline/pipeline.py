@@ -26,6 +26,7 @@ from lime_planner.pipeline.context import Clock, ask, checked_deadline, checked_
 from lime_planner.pipeline.figures import path_figures, sample_path
 from lime_planner.pipeline.goals import Goals, examine_start
 from lime_planner.pipeline.grasps.goals import goals_of
+from lime_planner.pipeline.grasps.slide import SHARE, slide, trials_for, worth_sliding
 from lime_planner.pipeline.obstacles import Obstacles, prepare, seen_map_of, stem_checker
 from lime_planner.pipeline.plausibility import doubts_about
 from lime_planner.pipeline.result import PlanResult, set_parameters
@@ -38,7 +39,7 @@ from lime_planner.planning.space import line, one
 from lime_planner.robot.model import Robot, home
 from lime_planner.scene import voxels
 from lime_planner.scene.scene import Scene
-from lime_planner.scene.views import sight
+from lime_planner.scene.views import fused, several, sight
 from lime_planner.scene.views.seen_map import SeenMap
 
 _FINISH_S = 0.4  # of a deadline, left for certificate, figures and timing
@@ -76,7 +77,7 @@ class Pipeline:
         apart = T[:3, 3] + np.array([0.0, 0.0, 0.4])
         points = apart + np.random.default_rng(0).uniform(-0.05, 0.05, (64, 3))
         scene = Scene.from_points(points, np.arange(64) % 2, frame_id=self.robot.planning_frame, viewpoints=apart[None] + 0.2)
-        settings = settings_from({"ik_starts": 10, "leaf_speed_scale": 0.9, "floor_z_m": -5.0})
+        settings = settings_from({"ik_starts": 10, "max_grasps": 10, "leaf_speed_scale": 0.9, "floor_z_m": -5.0})
         for aim in (fruit_target(T[:3, 3], 0.02), candidates_target(T[None])):
             with contextlib.suppress(Refusal):  # what becomes of them does not matter here
                 self._goals(scene, aim, q, settings, 1, Clock(), {}, {}, never)
@@ -85,8 +86,8 @@ class Pipeline:
         one(space, q)
         line(space, q, goals.configurations[0], 1.0, np.inf)
         self.follow(np.array([q, q + 0.05]), scene, T, settings)
-        voxels.warm_up()
-        sight.warm_up()
+        for module in (voxels, sight, fused, several):
+            module.warm_up()
         touched_anywhere(self.robot, self.shapes, q, hash_points(points), 0.01)
         checker.stem_distance(q)
         checker.leaf_contact(q)
@@ -192,7 +193,7 @@ class Pipeline:
             obstacles, checker, goals = self._goals(scene, aim, q, settings, seed, clock, counts, figures, ended, obstacles)
             inside = np.clip(q, self.robot.lower, self.robot.upper)
             path, straight_from, T = self._path(
-                obstacles, checker, inside, goals, settings, seed, clock, counts, ended, deadline_s, iterations
+                obstacles, checker, aim, inside, goals, settings, seed, clock, counts, ended, deadline_s, iterations
             )
             if not self.robot.within_limits(q):  # led back inside first
                 path, straight_from = np.vstack([q, path]), straight_from + 1
@@ -260,6 +261,7 @@ class Pipeline:
         self,
         obstacles: Obstacles,
         checker: ExactChecker,
+        aim: Target,
         q: Array,
         goals: Goals,
         settings: Settings,
@@ -285,7 +287,10 @@ class Pipeline:
                 left = max(deadline_s - clock.elapsed() - _FINISH_S, 0.02)
                 budget = left if budget is None else min(budget, left)
             wider = obstacles.with_margin(obstacles.world.margin + attempt * _RETRY_MARGIN_M)
-            found = search(wider, q, goals, settings, seed=seed + attempt, budget_s=budget, should_stop=should_stop)
+            sliding = worth_sliding(goals, aim, settings)
+            slide_s = None if budget is None else SHARE * budget if sliding else 0.0
+            search_s = None if budget is None or slide_s is None else budget - slide_s
+            found = search(wider, q, goals, settings, seed=seed + attempt, budget_s=search_s, should_stop=should_stop)
             iterations[0] += found.iterations
             counts["configurations_checked"] = counts.get("configurations_checked", 0) + found.checks
             if np.isfinite(found.first_path_s):
@@ -301,6 +306,16 @@ class Pipeline:
                 amount = f"{found.iterations} iterations" if budget is None else f"{budget:.2f} s ({found.iterations} iterations)"
                 raise Refusal(found.status, f"no path to any of {len(goals.configurations)} goal configurations within {amount}")
             which, stretch = goals.behind(found.path[-1])
+            if sliding:
+                trials = trials_for(settings.iterations) if settings.iterations else None
+                slid = slide(
+                    wider, aim, goals, found.path, q, seed=seed + attempt, trials=trials, budget_s=slide_s, should_stop=should_stop
+                )
+                clock.lap("search")
+                way = np.concatenate([slid.path, slid.stretch[1:]])
+                if hit_of(checker, sample_path(way, CERTIFIED_STEP_RAD)[0], should_stop) is None:
+                    clock.lap("certificate")
+                    return way, len(slid.path) - 1, slid.pose
             hit = hit_of(checker, sample_path(stretch, CERTIFIED_STEP_RAD)[0], should_stop) if len(stretch) > 1 else None
             if hit is not None and dropped < _DROPPED and len(goals.configurations) > 1:
                 clock.lap("certificate")

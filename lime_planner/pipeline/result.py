@@ -17,6 +17,7 @@ from lime_planner.core.parameters import PARAMETERS, Settings
 from lime_planner.core.status import Status
 from lime_planner.core.types import Array, Int64
 from lime_planner.motion.trajectory import Trajectory
+from lime_planner.pipeline.goals import OUTCOMES
 from lime_planner.pipeline.targets import Target
 from lime_planner.robot.model import Robot
 
@@ -91,7 +92,8 @@ class PlanResult:
         T_base_tool: the grasp, (4, 4): the pose that was asked for, or the one that was chosen; None where none was.
         straight_from: number of the waypoint from which the tool moves straight to the grasp.
         straight_approach_m: how far it does so.
-        grasps_tried, grasps_free: approaches that were looked at, and those with a free grasp and a free stretch.
+        grasps_tried, grasps_free: approaches that were tried, and those seen to have a free grasp and a free stretch. An approach to a
+            fruit that would be dearer than enough free ones is not looked at to its end, and not counted as free; of candidates all are.
         approaches: (A, 7) their poses; approach_outcomes: (A,) what became of each, see `pipeline.goals`.
         back: whether it is a motion that leads back from a target.
         q_start: (n,) configuration that was planned from [rad].
@@ -193,12 +195,14 @@ class PlanResult:
         return write_json(path, values)
 
     def origin(self) -> dict[str, Any]:
-        """What the plan was made from, as far as it knows, ready for JSON: `target_pose`, `start` and `parameters`."""
+        """What the plan was made from, as far as it knows, ready for JSON: target, start, parameters, approaches that were tried."""
         return {
             "target_pose": None if self.T_base_tool is None else matrix_to_pose(self.T_base_tool).tolist(),
             **({} if self.target is None else self.target.origin()),
             "start": None if self.q_start is None else np.asarray(self.q_start, dtype=np.float64).tolist(),
             "parameters": dict(self.parameters),
+            "approaches": np.round(self.approaches, 4).tolist(),
+            "approach_outcomes": [OUTCOMES[int(outcome)] for outcome in self.approach_outcomes],
         }
 
     def figures(self) -> dict[str, Any]:
@@ -235,10 +239,12 @@ def set_parameters(settings: Settings, robot: Robot) -> dict[str, Any]:
     values = {name: getattr(settings, name) for name in PARAMETERS}
     changed = {name: list(v) if isinstance(v, tuple) else v for name, v in values.items()}
     changed = {name: value for name, value in changed.items() if value != PARAMETERS[name].default}
-    arm = {
+    arm: dict[str, Any] = {
         "robot": robot.name,
         "arm_joints": list(robot.joint_names),
         "planning_frame": robot.planning_frame,
         "tool_frame": robot.tool_frame,
     }
+    if robot.locked:
+        arm["finger_positions"] = [f"{name}: {position!r}" for name, position in robot.locked]
     return {**changed, **arm}

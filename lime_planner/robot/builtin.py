@@ -29,12 +29,14 @@ class BuiltinArm:
         prefix: what the names of its joints and frames begin with.
         home: (6,) ready configuration [rad], within the limits and free of self-collision.
         endless: numbers of the joints that turn without end, from 1.
+        fingers: joints of the hand and where they are when it is open [rad].
         source: file below example-robot-data's `robots` folder, or None for a URDF of this package.
     """
 
     prefix: str
     home: tuple[float, ...]
     endless: tuple[int, ...]
+    fingers: dict[str, float]
     source: str | None
 
     @property
@@ -55,12 +57,22 @@ class BuiltinArm:
 
 _J2S6S200 = "kinova_description/robots/kinova.urdf"
 
-# The second is the non-spherical arm's home in the driver's examples: 275°, 167°, 57°, 241°, 83°, 75°.
+
+def _fingers(prefix: str, count: int, at_base_rad: float, at_tip_rad: float) -> dict[str, float]:
+    numbers = range(1, count + 1)
+    bases = {f"{prefix}_joint_finger_{i}": at_base_rad for i in numbers}
+    return bases | {f"{prefix}_joint_finger_tip_{i}": at_tip_rad for i in numbers}
+
+
+# The second is the non-spherical arm's home in the driver's examples: 275°, 167°, 57°, 241°, 83°, 75°. Its fingers, at 0 wide apart, are
+# bent so far that the tips are 9 cm apart.
 BUILTIN_ARMS: dict[str, BuiltinArm] = {
     "kinova_j2s6s200": BuiltinArm(
-        "j2s6s200", (4.7124, 2.8444, 1.3230, 4.6331, 2.0944, 1.5708), (1, 4, 6), "kinova_description/robots/kinova.urdf"
+        "j2s6s200", (4.7124, 2.8444, 1.3230, 4.6331, 2.0944, 1.5708), (1, 4, 6), _fingers("j2s6s200", 2, 0.0, 0.0), _J2S6S200
     ),
-    "kinova_j2n6s300": BuiltinArm("j2n6s300", (4.7997, 2.9147, 0.9948, 4.2062, 1.4486, 1.3090), (1, 4, 5, 6), None),
+    "kinova_j2n6s300": BuiltinArm(
+        "j2n6s300", (4.7997, 2.9147, 0.9948, 4.2062, 1.4486, 1.3090), (1, 4, 5, 6), _fingers("j2n6s300", 3, 0.7, 0.3), None
+    ),
 }
 
 

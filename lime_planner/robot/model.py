@@ -8,7 +8,7 @@ from __future__ import annotations
 import os
 import xml.etree.ElementTree as ET
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +23,7 @@ from lime_planner.robot.mesh_files import resolve_meshes
 from lime_planner.robot.meshes import LinkMesh, bvh_of
 from lime_planner.robot.serial_chain import ArmTree, read_tree
 from lime_planner.robot.stored_arms import stored
-from lime_planner.robot.urdf import parse_urdf, read_urdf_file, set_joint_rpy
+from lime_planner.robot.urdf import fix_joint, loosen_joint, parse_urdf, read_urdf_file, set_joint_rpy
 
 __all__ = ["LinkMesh", "Robot", "home", "load_robot", "robot_from_urdf"]
 
@@ -48,6 +48,7 @@ class Robot:
         reach_m: no point of the arm gets farther from the planning frame's origin.
         urdf: the description as used, tool frame included.
         held_joints: joints between planning frame and tool that are not planned for, and where they must stay [rad or m].
+        locked: joints outside the arm that were put somewhere, such as fingers, and where [rad or m].
         warnings: sentences about what in the description is suspicious but usable.
     """
 
@@ -66,6 +67,7 @@ class Robot:
     reach_m: float
     urdf: str
     held_joints: tuple[tuple[str, float], ...] = ()
+    locked: tuple[tuple[str, float], ...] = ()
     warnings: tuple[str, ...] = ()
 
     @classmethod
@@ -79,6 +81,8 @@ class Robot:
         Raises:
             RobotError: no such robot or file, or a description that cannot be used.
         """
+        if not isinstance(name_or_path, (str, os.PathLike)):
+            raise RobotError(f"a robot is loaded by the name of a built-in arm or the path of a URDF file, got {name_or_path!r}")
         return load_robot(os.fspath(name_or_path), **options)
 
     def __repr__(self) -> str:
@@ -152,7 +156,8 @@ def load_robot(
         joint_names: the arm's joints from base to tool; by default all that move between planning and tool frame.
         planning_frame: a link that stands still; the root link by default.
         tool_frame: a link that moves with the last arm joint; for built-in arms `<prefix>_end_effector` by default.
-        locked: positions of joints outside the arm [rad or m]; by default 0, moved into the limits, mimic joints following theirs.
+        locked: positions of joints outside the arm, such as fingers [rad or m]; by default 0, moved into the limits, mimic joints
+            following theirs, and a built-in arm's fingers open.
 
     Raises:
         RobotError: no such robot or file, or a description that cannot be used.
@@ -162,15 +167,21 @@ def load_robot(
         text, folder = read_builtin(name_or_path)
         root = parse_urdf(text)
         set_joint_rpy(root, arm.tool_frame, TOOL_RPY)
-        return robot_from_urdf(
+        for finger in arm.fingers:
+            loosen_joint(root, finger)
+        robot = robot_from_urdf(
             ET.tostring(root, encoding="unicode"),
             name=name_or_path,
             joint_names=joint_names or arm.joint_names,
             planning_frame=planning_frame,
             tool_frame=tool_frame or arm.tool_frame,
-            locked=locked,
+            locked={**arm.fingers, **(locked or {})},
             base_dir=folder,
         )
+        positions = dict(robot.locked)
+        for finger in arm.fingers:
+            fix_joint(root, finger, positions[finger])
+        return replace(robot, urdf=ET.tostring(root, encoding="unicode"), locked=tuple(sorted((locked or {}).items())))
     path = Path(name_or_path).expanduser()
     if not path.is_file():
         raise RobotError(f"robot {name_or_path!r} is neither a built-in arm ({', '.join(BUILTIN_ARMS)}) nor a URDF file that exists")
@@ -230,6 +241,7 @@ def robot_from_urdf(
         reach_m=_reach(tree.chain, tree.links),
         urdf=text,
         held_joints=tree.held,
+        locked=tuple(sorted((locked or {}).items())),
         warnings=tree.warnings,
     )
 

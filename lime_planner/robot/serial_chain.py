@@ -23,6 +23,7 @@ _TOOL_NAMES = ("end_effector", "tool0", "tool_frame", "tcp")
 _TOOL_WORDS = {"ee", "eef", "tcp", "tool", "endeffector", "grasp", "grip"}
 _SENSOR_WORDS = {"camera", "cam", "optical", "depth", "color", "colour", "rgb", "rgbd", "infra", "infrared", "ir", "imu", "gyro", "accel"}
 _SENSOR_WORDS |= {"lidar", "laser", "lens", "sensor", "realsense", "zed", "kinect", "ft", "wrench", "led", "light"}
+_ONE_NUMBER = ("revolute", "continuous", "prismatic")
 _MOVING = ("revolute", "continuous", "prismatic", "floating", "planar")
 
 
@@ -233,9 +234,8 @@ def _locked_configuration(joints: _Joints, model: Any, names: Sequence[str], loc
     """Return a full configuration of Pinocchio's model with every joint outside the arm where it is to stay."""
     import pinocchio as pin
 
-    for name in locked:
-        if name in names or name not in joints.by_name or joints.by_name[name].get("type") not in _MOVING:
-            raise RobotError(f"the joint {name!r} cannot be locked: it is an arm joint, fixed or unknown")
+    for name, position in locked.items():
+        _check_locked(joints, names, name, position)
 
     def value(name: str, depth: int = 0) -> float:
         joint = joints.by_name[name]
@@ -261,6 +261,23 @@ def _locked_configuration(joints: _Joints, model: Any, names: Sequence[str], loc
         position = value(name)
         q[start : start + nq] = [position] if nq == 1 else [np.cos(position), np.sin(position)]
     return q
+
+
+def _check_locked(joints: _Joints, names: Sequence[str], name: str, position: float) -> None:
+    """Refuse a joint that cannot be put somewhere, or a place beyond its limits."""
+    joint = joints.by_name.get(name)
+    if name in names:
+        raise RobotError(f"no position can be given for {name!r}: it is a joint of the arm, which is planned for")
+    if joint is None or joint.get("type") not in _ONE_NUMBER:
+        others = [other for other, j in joints.by_name.items() if other not in names and j.get("type") in _ONE_NUMBER]
+        why = "there is none of this name" if joint is None else f"it is {joint.get('type')}"
+        raise RobotError(f"no position can be given for {name!r}: {why}; joints outside the arm: {', '.join(others) or 'none that move'}")
+    limit = joint.find("limit")
+    if limit is None or joint.get("type") == "continuous":
+        return
+    low, high = float(limit.get("lower", 0.0)), float(limit.get("upper", 0.0))
+    if not low <= position <= high:
+        raise RobotError(f"the joint {name!r} cannot be at {position:g}: its limits are {low:g} to {high:g}")
 
 
 def _positions(model: Any, reference: Array, names: Sequence[str]) -> tuple[tuple[str, float], ...]:

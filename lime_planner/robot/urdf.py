@@ -9,6 +9,8 @@ import xml.etree.ElementTree as ET
 from pathlib import Path
 from xml.parsers import expat
 
+import numpy as np
+
 from lime_planner.core.errors import RobotError
 
 _SHAPES: dict[str, dict[str, int]] = {"mesh": {}, "box": {"size": 3}, "cylinder": {"radius": 1, "length": 1}, "sphere": {"radius": 1}}
@@ -246,3 +248,25 @@ def set_joint_rpy(root: ET.Element, child_link: str, rpy: str) -> None:
             origin.set("rpy", rpy)
             return
     raise RobotError(f"the robot description has no joint with an origin above {child_link}")
+
+
+def loosen_joint(root: ET.Element, name: str) -> None:
+    """Let a fixed joint turn about its axis within its limits, in place."""
+    for joint in root.findall("joint"):
+        if joint.get("name") == name and joint.find("limit") is not None:
+            joint.set("type", "revolute")
+            return
+    raise RobotError(f"the robot description has no joint {name} with limits")
+
+
+def fix_joint(root: ET.Element, name: str, position_rad: float) -> None:
+    """Fix a turning joint where it is at a position, in place."""
+    from scipy.spatial.transform import Rotation
+
+    joint = next(joint for joint in root.findall("joint") if joint.get("name") == name)
+    joint.set("type", "fixed")
+    origin, axis = joint.find("origin"), joint.find("axis")
+    if position_rad != 0.0 and origin is not None and axis is not None:
+        about = Rotation.from_rotvec(position_rad * np.array([float(v) for v in axis.get("xyz", "1 0 0").split()]))
+        before = Rotation.from_euler("xyz", [float(v) for v in origin.get("rpy", "0 0 0").split()])
+        origin.set("rpy", " ".join(repr(float(v)) for v in (before * about).as_euler("xyz")))

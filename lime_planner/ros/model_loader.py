@@ -18,7 +18,6 @@ from lime_planner.output.console import compile_first
 from lime_planner.pipeline import Pipeline
 from lime_planner.robot.model import Robot, load_robot, robot_from_urdf
 from lime_planner.ros.runtime import BackgroundThread, Severity
-from lime_planner.scene.views import fused
 
 #: `robot` parameter that asks for the model from the topic `robot_description`.
 FROM_TOPIC = "topic"
@@ -36,7 +35,6 @@ class Loaded:
         compile_first()
         stop.warm_up()
         self.pipeline.warm_up()
-        fused.warm_up()
 
 
 #: Builds them: (settings, URDF text from the topic or None) -> Loaded.
@@ -51,18 +49,23 @@ def build(settings: Settings, urdf: str | None) -> Loaded:
     """
     joint_names, planning_frame, tool_frame = settings.arm_joints or None, settings.planning_frame or None, settings.tool_frame or None
     # Reading meshes, finding collision pairs and measuring links hold the interpreter for seconds; a stop must not wait for that.
-    robot = call_elsewhere(_read_robot, settings.robot, urdf, joint_names, planning_frame, tool_frame)
+    robot = call_elsewhere(_read_robot, settings.robot, urdf, joint_names, planning_frame, tool_frame, settings.locked)
     return Loaded(robot, Pipeline(robot))
 
 
 def _read_robot(
-    name: str, urdf: str | None, joint_names: tuple[str, ...] | None, planning_frame: str | None, tool_frame: str | None
+    name: str,
+    urdf: str | None,
+    joint_names: tuple[str, ...] | None,
+    planning_frame: str | None,
+    tool_frame: str | None,
+    locked: dict[str, float],
 ) -> Robot:
     """Read a robot, and leave its shapes in the cache, from where `Pipeline` takes them."""
     if urdf is None:
-        robot = load_robot(name, joint_names=joint_names, planning_frame=planning_frame, tool_frame=tool_frame)
+        robot = load_robot(name, joint_names=joint_names, planning_frame=planning_frame, tool_frame=tool_frame, locked=locked)
     else:
-        robot = robot_from_urdf(urdf, joint_names=joint_names, planning_frame=planning_frame, tool_frame=tool_frame)
+        robot = robot_from_urdf(urdf, joint_names=joint_names, planning_frame=planning_frame, tool_frame=tool_frame, locked=locked)
     build_shapes(robot)
     return robot
 

@@ -203,9 +203,13 @@ class Recording:
         try:
             yield
         except Exception as error:  # damaged files make sqlite, lz4, YAML and struct raise a dozen kinds
-            text = " ".join(str(error).split())
+            why = "it is damaged, cut off, or of another kind"
+            if isinstance(error, OSError) and error.strerror:
+                why = error.strerror
+            elif self.path.is_file() and not self.path.stat().st_size:
+                why = "it is empty"
             advice = "; where a recorder was cut off, `mcap recover FILE` mends it" if self.path.suffix == ".mcap" else ""
-            raise SceneError(f"{self.path}: is not a readable recording ({type(error).__name__}: {text}){advice}") from error
+            raise SceneError(f"{self.path}: is not a readable recording: {why}{advice}") from error
 
 
 def _without_metadata(path: Path) -> str:

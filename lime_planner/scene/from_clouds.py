@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -14,7 +14,8 @@ from lime_planner.core.geometry import clean_name
 from lime_planner.core.types import Array, Float32
 from lime_planner.scene.arrays import precision_note
 from lime_planner.scene.point_cloud2 import COST_FIELD, decode_cloud
-from lime_planner.scene.scene import FRUIT, LEAF, STEM, Scene
+from lime_planner.scene.scene import FRUIT, LEAF, STEM, Scene, merged
+from lime_planner.scene.views.several import seen_by_several, without_hidden
 
 Points = npt.NDArray[np.floating]
 
@@ -37,6 +38,9 @@ class ArmFilter(Protocol):
         ...
 
 
+#: Frames of robots and maps (REP 105 names most of them), at whose origins no camera stands.
+NO_CAMERAS = frozenset(("earth", "map", "odom", "world", "base", "base_link", "base_footprint"))
+
 _BLOCK = 65_536  #: points that are moved at a time: they stay in the processor's cache
 
 
@@ -50,6 +54,27 @@ class Labels:
     fruit: tuple[int, ...] = (FRUIT,)
     ignored: tuple[int, ...] = ()
     class_costs: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Origins:
+    """Where clouds were seen from: the origin of their frame where that is a camera's; of the others by `viewpoints`.
+
+    Attributes:
+        viewpoints: x y z of each camera, in the planning frame [m]; none where that is not known.
+        fixed_frame: a frame whose origin is no camera, like the planning frame and `NO_CAMERAS`.
+    """
+
+    viewpoints: tuple[float, ...] = ()
+    fixed_frame: str = ""
+
+    def of_frame(self, frame: str, planning_frame: str, T_planning_cloud: Array | None) -> Array | None:
+        """Return the viewpoints (V, 3) [m] of a cloud, in the planning frame; None where they are not known."""
+        name = clean_name(frame)
+        no_camera = name in (planning_frame, clean_name(self.fixed_frame)) or name.rsplit("/", 1)[-1] in NO_CAMERAS
+        if T_planning_cloud is not None and not no_camera:
+            return np.asarray(T_planning_cloud[None, :3, 3])
+        return np.array(self.viewpoints, dtype=np.float64).reshape(-1, 3) if self.viewpoints else None
 
 
 def belonging_together(arrivals_s: Mapping[str, float]) -> tuple[str, ...]:
@@ -77,6 +102,7 @@ def scene_of_cloud(
     planning_frame: str,
     transform: Callable[[Any], Array | None],
     *,
+    origins: Origins = Origins(),
     topic: str | None = None,
     between: Callable[[], None] = lambda: None,
 ) -> Scene:
@@ -88,6 +114,7 @@ def scene_of_cloud(
         labels: how a labelled cloud is read.
         planning_frame: frame of the scene.
         transform: returns T_planning_cloud (4, 4) for the message's header, None where the frames are one.
+        origins: where it was seen from.
         topic: what the cloud is called in sentences; by default its input.
         between: called between steps: each of them takes a fraction of a second where a cloud has millions of points.
 
@@ -100,7 +127,11 @@ def scene_of_cloud(
     T_planning_cloud = transform(msg.header) if len(cloud.points) else None
     points = cloud.points if T_planning_cloud is None else moved(cloud.points, T_planning_cloud)
     between()
-    at_home = clean_name(msg.header.frame_id) == planning_frame  # the base is no camera
+    viewpoints = origins.of_frame(msg.header.frame_id, planning_frame, T_planning_cloud) if len(points) else None
+    seen: dict[str, Any] = {}
+    if viewpoints is not None and len(viewpoints) > 1:
+        seen = dict(zip(("view_ids", "blocking_points", "blocking_view_ids"), seen_by_several(points, viewpoints), strict=True))
+        between()
     one_class = np.full(len(points), LEAF if name == "leaf_cloud" else STEM, np.uint8)
     try:
         scene = Scene.from_points(
@@ -113,13 +144,26 @@ def scene_of_cloud(
             ignored_labels=labels.ignored if labelled else (),
             class_costs=labels.class_costs if labelled else (),
             permeability_cost=cloud.columns.get(COST_FIELD),
-            viewpoints=None if T_planning_cloud is None or at_home else T_planning_cloud[None, :3, 3],
+            viewpoints=viewpoints,
+            **seen,
             notes=tuple(f"{topic}: {note}" for note in precision_note(cloud.points)),
         )
     except SceneError as error:
         raise SceneError(f"{topic}: {error}") from None
     between()
     return scene
+
+
+def one_picture(parts: Sequence[Scene], planning_frame: str) -> Scene:
+    """Put the scenes of clouds of one moment together, leaves and stems.
+
+    Where several cameras share a cloud, and who saw what was told by what hides what, a leaf may hide a stem from one of them.
+    """
+    if len(parts) == 1:
+        return parts[0]
+    scene = merged(parts, planning_frame, one_picture=True)
+    shared = any(part.viewpoints is not None and len(part.viewpoints) > 1 for part in parts)
+    return without_hidden(scene) if shared else scene
 
 
 def unfiltered(scene: Scene, q: Array | None, padding_m: float, /, *, base_position: Array | None = None) -> Scene:

@@ -20,8 +20,8 @@ from lime_planner.core.transform_history import TF_HISTORY_S, NoTransform, Trans
 from lime_planner.core.types import Array
 from lime_planner.scene.bag import CLOUD, JOINTS, POINT, POSE, POSES, Recorded, Recording
 from lime_planner.scene.files import Start
-from lime_planner.scene.from_clouds import CLOUDS, ArmFilter, Labels, belonging_together, scene_of_cloud, without_arm
-from lime_planner.scene.scene import Scene, merged
+from lime_planner.scene.from_clouds import CLOUDS, ArmFilter, Labels, Origins, belonging_together, one_picture, scene_of_cloud, without_arm
+from lime_planner.scene.scene import Scene
 
 #: The inputs of the planner that a recording may hold, and their types.
 INPUTS: Mapping[str, str] = {
@@ -52,6 +52,7 @@ class Frame:
         padding_m: how close to the arm these are.
         fixed_frame: the frame in which clouds and target stay while the base moves; empty: the planning frame.
         max_base_motion_m: how far the base may have moved since a stamp without one [m].
+        viewpoints: x y z of each camera whose clouds do not come in its own frame, in the planning frame [m].
     """
 
     planning_frame: str
@@ -60,6 +61,7 @@ class Frame:
     padding_m: float
     fixed_frame: str = ""
     max_base_motion_m: float = 0.01
+    viewpoints: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -158,7 +160,7 @@ class _Reader:
         names = belonging_together({name: recorded.at_s for name, recorded in clouds.items()})
         for name in names:
             self.heard[clouds[name].topic] = clouds[name].at_s
-        return merged([self._part(name, clouds[name]) for name in names], self._frame.planning_frame, one_picture=True)
+        return one_picture([self._part(name, clouds[name]) for name in names], self._frame.planning_frame)
 
     def target(self) -> dict[str, Any]:
         """Return the newest target of any kind as the fields of a scene, in the planning frame; none where none was recorded."""
@@ -202,7 +204,10 @@ class _Reader:
     def _part(self, name: str, recorded: Recorded) -> Scene:
         frame = self._frame
         T_planning_data, T_now_then = self._place(recorded)
-        scene = scene_of_cloud(recorded.msg, name, self._labels, frame.planning_frame, lambda _: T_planning_data, topic=recorded.topic)
+        origins = Origins(frame.viewpoints, frame.fixed_frame)
+        scene = scene_of_cloud(
+            recorded.msg, name, self._labels, frame.planning_frame, lambda _: T_planning_data, origins=origins, topic=recorded.topic
+        )
         return without_arm(scene, frame.arm_filter, self._arm_at(recorded), frame.padding_m, T_now_then)
 
     def _arm_at(self, cloud: Recorded) -> Array | None:

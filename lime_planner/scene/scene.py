@@ -105,6 +105,10 @@ class Scene:
 
     def __post_init__(self) -> None:
         """Copy, check and freeze the arrays."""
+        for name in ("leaf_points", "stem_points", "fruit_points", "leaf_triangles", "fruit_centres", "blocking_points"):
+            value = getattr(self, name)
+            if value is not None and not np.ndim(value):
+                raise SceneError(f"{name}: one number or text, expected an array of points")
         n_leaf = len(self.leaf_points)
         n_triangles = 0 if self.leaf_triangles is None else len(self.leaf_triangles)
         n_fruit = 0 if self.fruit_centres is None else len(self.fruit_centres)
@@ -191,6 +195,8 @@ class Scene:
             SceneError: the file is missing, of another kind, truncated, empty, without a needed field, a field does not fit, or two
                 classes share a label, or a price is none.
         """
+        if not isinstance(path, (str, os.PathLike)):
+            raise SceneError(f"a scene is loaded from the path of a file, got {path!r}")
         members = read_members(path, label_field)
         frame = str(members.pop("frame_id", "")) or frame_id
         try:

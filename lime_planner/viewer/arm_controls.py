@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import re
 from collections.abc import Callable
 from typing import Any
 
@@ -66,9 +68,11 @@ class ArmControls:
         if robot is None or not self._places:
             return
         with self._container:
+            # "joint_1", not "j2s6s200_joint_1": what all names begin with tells nothing, and would be cut off.
+            common = re.sub(r"(joint_?|[^_/]*)$", "", os.path.commonprefix(robot.joint_names))  # noqa: RUF071 - letter by letter
             for name, low, high in zip(robot.joint_names, robot.lower, robot.upper, strict=True):
                 low, high = max(float(low), -_TURN_RAD), min(float(high), _TURN_RAD)
-                slider = self._gui.add_slider(name.removeprefix(f"{robot.name}_"), low, high, 0.01, float(np.clip(0.0, low, high)))
+                slider = self._gui.add_slider(name.removeprefix(common), low, high, 0.01, float(np.clip(0.0, low, high)))
                 slider.on_update(self._on_update)
                 self._sliders.append(slider)
         self._container.visible = True

@@ -58,7 +58,9 @@ class Controls:
         # They never change places: a click that comes late must not meet another button.
         self.plan = gui.add_button("Plan", icon="route", color="gray", hint="Search a path from where the arm stands. Nothing moves")
         self.execute = gui.add_button("Execute", icon="player-track-next", color="gray", disabled=True, hint="Move the arm; asks first")
-        self.stop = gui.add_button("Stop", icon="hand-stop", color="gray", hint="Stop the search, and the arm")
+        self.stop = gui.add_button(
+            "Stop", icon="hand-stop", color="gray", hint="Stop the search, and the arm; the Escape key does the same"
+        )
         self.plan.on_click(commands.plan)
         self.execute.on_click(commands.execute)
         self.stop.on_click(commands.stop)

@@ -63,11 +63,98 @@ _SCRIPT = """
 })();
 """
 
+# Viser tells clicks in the scene and no moves of the pointer. Where it rests we ask the server what is drawn there, and say it beside it.
+# The camera is the client's own, which it lays into the window for its tests; without it, there still is the click.
+_POINTER = """
+(() => {
+  const tip = document.createElement("div"), rest_ms = 180;
+  tip.className = "lp-under";
+  tip.setAttribute("role", "tooltip");
+  let timer = 0, number = 0, at = [0, 0];
+  const hide = () => { clearTimeout(timer); number += 1; tip.remove(); };
+  const ask = async (canvas, x, y) => {
+    const {camera, nodeRefFromName} = window.__viserMutable ?? {}, root = nodeRefFromName?.[""];
+    if (!camera || !root) return;
+    const box = canvas.getBoundingClientRect(), mine = ++number;
+    const eye = camera.getWorldPosition(camera.position.clone());
+    const far = eye.clone().set(2 * (x - box.left) / box.width - 1, 1 - 2 * (y - box.top) / box.height, 0.5).unproject(camera);
+    root.worldToLocal(eye);
+    root.worldToLocal(far).sub(eye).normalize();
+    const ray = [eye.x, eye.y, eye.z, far.x, far.y, far.z].map((value) => value.toFixed(6)).join(",");
+    const found = await fetch("under?ray=" + ray).then((answer) => answer.json()).catch(() => null);
+    if (mine !== number || !found) return;
+    const name = document.createElement("b");
+    name.textContent = found.title;
+    tip.replaceChildren(name, " ", found.sentence);
+    document.body.append(tip);
+    tip.style.left = Math.max(4, Math.min(x + 14, innerWidth - tip.offsetWidth - 4)) + "px";
+    tip.style.top = (y + 18 + tip.offsetHeight > innerHeight ? y - tip.offsetHeight - 10 : y + 18) + "px";
+  };
+  addEventListener("pointermove", (event) => {
+    const {target, clientX: x, clientY: y} = event;
+    if (tip.isConnected && target.tagName === "CANVAS" && Math.hypot(x - at[0], y - at[1]) < 3) return;
+    hide();
+    if (event.pointerType === "touch" || event.buttons || target.tagName !== "CANVAS") return;
+    at = [x, y];
+    timer = setTimeout(ask, rest_ms, target, x, y);
+  }, {passive: true, capture: true});
+  for (const name of ["pointerdown", "wheel", "keydown", "blur"]) addEventListener(name, hide, {passive: true, capture: true});
+  document.addEventListener("pointerleave", hide);
+})();
+"""
+
+# What viser leaves to the mouse alone: its folders' headings are no buttons, sliders and the numbers beside them have no names.
+# Escape stops: who sees the arm go wrong has no time to find the button.
+_KEYBOARD = """
+(() => {
+  const HEADING = ".mantine-Paper-root > .mantine-Paper-root", FIELD = "input:not([type=hidden]), [role=slider]";
+  const put = (element, name, value) => { if (element.getAttribute(name) !== value) element.setAttribute(name, value); };
+  const dress = () => {
+    for (const heading of document.querySelectorAll(HEADING)) {
+      if (heading.style.cursor !== "pointer") continue;
+      put(heading, "role", "button");
+      put(heading, "tabindex", "0");
+      put(heading, "aria-expanded", String(heading.querySelector("svg.tabler-icon-chevron-up") !== null));
+    }
+    for (const label of document.querySelectorAll("label[for]")) {
+      const fields = [...label.closest(".mantine-Flex-root")?.querySelectorAll(FIELD) ?? []];
+      const numbers = fields.filter((field) => field.tagName === "INPUT");
+      for (const field of fields) {
+        const place = numbers.length > 1 && field.tagName === "INPUT" ? `, ${numbers.indexOf(field) + 1} of ${numbers.length}` : "";
+        put(field, "aria-label", label.textContent + place);
+      }
+    }
+    for (const button of document.querySelectorAll("button:not([aria-label]) > .mantine-ActionIcon-icon"))
+      put(button.parentElement, "aria-label", "The page's own settings");
+  };
+  let waiting = 0;
+  new MutationObserver(() => { waiting ||= setTimeout(() => { waiting = 0; dress(); }, 100); })
+    .observe(document, {childList: true, subtree: true});
+  addEventListener("keydown", (event) => {
+    if ((event.key === "Enter" || event.key === " ") && event.target.matches?.(HEADING)) {
+      event.preventDefault();
+      event.target.click();
+    }
+    if (event.key !== "Escape" || event.repeat) return;
+    const state = document.querySelector("[data-state]")?.dataset.state ?? "";
+    const stop = [...document.querySelectorAll("button")].find((button) => button.textContent.trim() === "Stop");
+    if (/^(Planning|The arm)/.test(state)) stop?.click();
+  }, {capture: true});
+})();
+"""
+
 _STYLE = """
 :root { --lp-soft: #5c6066; --lp-line: #d8dade; --lp-bad: #b3261e; --lp-bad-back: #fdecea; --lp-good: #1b7a35; --lp-back: #f3f4f6;
-  --lp-free: #0072b2; --lp-leafy: #c24f00; --lp-stem: #73451f; --lp-other: #8a4f9e; }
+  --lp-ink: #1c1e21; --lp-free: #0072b2; --lp-leafy: #c24f00; --lp-stem: #73451f; --lp-other: #8a4f9e; }
 :root[data-mantine-color-scheme="dark"] { --lp-soft: #a9adb4; --lp-line: #45484d; --lp-bad: #ff8a80; --lp-bad-back: #45211f;
-  --lp-good: #6fcf87; --lp-back: #2f3136; --lp-free: #5db5ea; --lp-leafy: #ff9a4d; --lp-stem: #c99a6f; --lp-other: #d19be3; }
+  --lp-ink: #e6e7ea; --lp-good: #6fcf87; --lp-back: #2f3136; --lp-free: #5db5ea; --lp-leafy: #ff9a4d;
+  --lp-stem: #c99a6f; --lp-other: #d19be3; }
+/* Mantine's own greys and blues have less than 4.5:1 on white. */
+:root:root[data-mantine-color-scheme] { --mantine-color-dimmed: var(--lp-soft); }
+:root:root[data-mantine-color-scheme="light"] { --mantine-color-gray-filled: #5c6066; --mantine-color-gray-filled-hover: #4a4e53; }
+.mantine-Button-root[data-variant="outline"] {
+  --button-color: var(--lp-free) !important; --button-bd: 1px solid var(--lp-free) !important; }
+.mantine-Notification-description, .mantine-Slider-markLabel { color: var(--lp-soft) !important; }
 .lp-status { margin: 0 10px 6px; border-left: 4px solid var(--lp-soft); padding: 4px 8px; border-radius: 3px; background: var(--lp-back);
   line-height: 1.35; }
 .lp-status b { font-size: 1.02em; }
@@ -84,6 +171,10 @@ _STYLE = """
 .lp-table td.better { color: var(--lp-good); font-weight: bold; }
 .lp-legend { display: grid; grid-template-columns: 1fr 1fr; gap: 2px 10px; font-size: 0.8em; }
 .lp-legend i { display: inline-block; width: 12px; height: 12px; border-radius: 3px; margin-right: 6px; vertical-align: -1px; }
+.mantine-Paper-root[role=button]:focus-visible { outline: 2px solid var(--lp-free); }
+.lp-under { position: fixed; z-index: 50; max-width: 260px; padding: 4px 8px; border-radius: 4px; pointer-events: none; font-size: 0.82em;
+  line-height: 1.35; color: var(--lp-ink); background: var(--lp-back);
+  border: 1px solid var(--lp-line); box-shadow: 0 1px 6px rgb(0 0 0 / 25%); }
 .lp-plot { display: block; width: 100%; height: auto; overflow: visible; }
 .lp-plot text { font: 10px system-ui, sans-serif; fill: var(--lp-soft); }
 .lp-plot .title { font-size: 11px; fill: currentColor; }
@@ -114,7 +205,7 @@ def with_our_head(page: bytes, *, gzipped: bool) -> bytes:
 @lru_cache(maxsize=4)
 def _dressed(page: bytes, gzipped: bool) -> bytes:
     html = gzip.decompress(page) if gzipped else page
-    head = f'<link rel="icon" href="{_ICON}"/><script>{_SCRIPT}</script><style>{_STYLE}</style>'
+    head = f'<link rel="icon" href="{_ICON}"/><script>{_SCRIPT}{_POINTER}{_KEYBOARD}</script><style>{_STYLE}</style>'
     html = re.sub(rb'<link\s+rel="icon"[^>]*>', b"", html, count=1)
     html = html.replace(b"<title>Viser</title>", f"<title>Lime planner</title>{head}".encode(), 1)
     return gzip.compress(html, 6) if gzipped else html

@@ -12,9 +12,9 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from lime_planner.core.types import Array, Bool, Float32, Int32, Int64
+from lime_planner.output.approach_lines import APPROACH_COLOURS, approach_lines
 from lime_planner.output.picture import ARM, FREE_PATH, LEAFY_PATH, LIME, STEM
 from lime_planner.output.timeline import Timeline
-from lime_planner.pipeline.goals import ARM_BLOCKED, FREE, HAND_BLOCKED, NO_ROOM, OUT_OF_REACH
 from lime_planner.pipeline.obstacles import UNSEEN_VOXEL_M
 from lime_planner.robot.model import Robot
 from lime_planner.scene.scene import Scene
@@ -34,15 +34,6 @@ _TRIANGLES_OF_A_LINK = 3000
 _TONES = (0.82, 0.94, 1.06, 1.18)  # of leaves, so that one stands out from the next
 _PATH_THICKNESS_M = 0.006
 _APPROACHES_SHOWN = 600
-_APPROACH_GAP_M, _APPROACH_M = 0.05, 0.05  # how far from the fruit their lines end, and how long they are
-#: What became of an approach: green free, red the hand is blocked, orange the arm is, violet no room to come straight, grey out of reach.
-APPROACH_COLOURS = {
-    FREE: (0.15, 0.65, 0.30),
-    HAND_BLOCKED: (0.85, 0.20, 0.10),
-    ARM_BLOCKED: (0.95, 0.55, 0.10),
-    NO_ROOM: (0.55, 0.35, 0.75),
-    OUT_OF_REACH: (0.6, 0.6, 0.6),
-}
 
 
 def set_visible(handle: Any, visible: bool) -> None:
@@ -272,9 +263,7 @@ class ApproachLines:
         if not len(poses):
             return
         keep = thinned(poses, _APPROACHES_SHOWN)
-        turned = Rotation.from_quat(poses[keep, 3:]).as_matrix()[:, :, 2]
-        tips = poses[keep, :3] - _APPROACH_GAP_M * turned
-        pieces = np.stack([tips - _APPROACH_M * turned, tips], axis=1).astype(np.float32)
+        pieces = approach_lines(poses[keep]).astype(np.float32)
         colours = np.array([rgb(APPROACH_COLOURS[int(outcome)]) for outcome in outcomes[keep]], dtype=np.uint8)
         self._lines = api.add_line_segments("/approaches", pieces, np.repeat(colours[:, None], 2, axis=1), thickness=0.002)
 

@@ -34,7 +34,7 @@ from lime_planner.viewer.history import Entry, History
 from lime_planner.viewer.layers import BESIDE, ApproachLines, Arm, Plant, ToolPath, Touched, ghost_arm, measured_arm
 from lime_planner.viewer.player import Player
 from lime_planner.viewer.plots import Plots
-from lime_planner.viewer.pointing import what_is_under
+from lime_planner.viewer.pointing import Named, Pointing, Ray
 from lime_planner.viewer.serving import start_server, stop_server
 
 _PERIOD_S = 0.05
@@ -70,6 +70,7 @@ class Page:
         self._arm: Arm | None = None
         self._ghost: Arm | None = None
         self._plant: Plant | None = None
+        self._pointing: Pointing | None = None
         self._blocked: BlockedLayer | None = None
         self._path: ToolPath | None = None
         self._other_path: ToolPath | None = None
@@ -79,7 +80,7 @@ class Page:
         self.failure = ""
         self._pool = ThreadPoolExecutor(1, thread_name_prefix="picture")
         moment = backend.moment()
-        self._server = start_server(access, port, label="Lime planner")
+        self._server = start_server(access, port, label="Lime planner", answers={"/under": self._on_hover})
         self._build(moment)
         self._thread = threading.Thread(target=self._run, name="page", daemon=True)
         self._thread.start()
@@ -110,9 +111,8 @@ class Page:
         gui.main_panel.dock_right()
         server.scene.set_up_direction("+z")
         server.scene.configure_default_lights(True, cast_shadow=False)
-        server.scene.add_grid(
-            "/floor", 3.0, 3.0, cell_size=0.1, section_size=0.5, cell_color=(225, 225, 225), section_color=(195, 195, 195)
-        )
+        grey = {"cell_color": (172, 174, 178), "section_color": (140, 142, 146)}  # faint on white and on black
+        server.scene.add_grid("/floor", 3.0, 3.0, cell_size=0.1, section_size=0.5, cell_thickness=0.6, **grey)
         server.initial_camera.position, server.initial_camera.look_at = (tuple(point) for point in START)
         self._starting = EmptyPage(gui, self._backend, self._note)
         commands = Commands(self._on_plan, self._on_execute, self._on_stop)
@@ -161,12 +161,22 @@ class Page:
         self._note(lambda: self._goal.choose(number))
 
     def _on_scene_click(self, event: Any) -> None:
-        scene = self._scene
-        if scene is None or not self._controls.shows("leaves"):
-            return
-        found = what_is_under(scene, np.asarray(event.ray_origin), np.asarray(event.ray_direction), self._timeline)
-        if found is not None:
-            event.client.add_notification(*found, auto_close_seconds=6.0)
+        found = self._under(Ray.through(event.ray_origin, event.ray_direction))
+        if found is not None and found.kind in ("leaf", "stem"):
+            event.client.add_notification(found.title, found.sentence, auto_close_seconds=6.0)
+
+    def _on_hover(self, query: str) -> str | None:
+        """Answer the browser's question for what its pointer rests on."""
+        ray = Ray.read(query)
+        found = None if ray is None else self._under(ray)
+        return None if found is None else found.json()
+
+    def _under(self, ray: Ray) -> Named | None:
+        pointing, robot, arm = self._pointing, self._robot, self._arm
+        if pointing is None:
+            return None
+        placed = None if robot is None or arm is None or arm.q is None else (robot, arm.q)
+        return pointing.under(ray, timeline=self._timeline, arm=placed, shows=self._controls.shows)
 
     def _on_execute(self, event: Any) -> None:
         shown = self._backend.moment().shown
@@ -270,10 +280,11 @@ class Page:
         if moment.scene is not self._scene:
             if self._plant is not None:
                 self._plant.remove()
-            self._plant = None
+            self._plant = self._pointing = None
             if moment.scene is not None:
                 reach_m = (1.2 if moment.robot is None else moment.robot.reach_m) + _BEYOND_REACH_M
                 self._plant = Plant(api, moment.scene, centre=np.zeros(3), reach_m=reach_m, on_lime=self._on_lime)
+                self._pointing = Pointing(moment.scene, reach_m=reach_m)
             self._scene = moment.scene
             self._goal.take(moment.scene)
             for folder in self._of_scene:

@@ -8,6 +8,7 @@ viser that opens its port in another way is not served at all.
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import http
 import os
@@ -15,8 +16,9 @@ import socket
 import sys
 import threading
 import webbrowser
-from collections.abc import Awaitable, Callable, Iterator
+from collections.abc import Awaitable, Callable, Iterator, Mapping
 from typing import Any
+from urllib.parse import urlsplit
 
 from lime_planner.core.errors import ParameterError
 from lime_planner.core.signals import EndSignals
@@ -35,6 +37,10 @@ _HEADERS = {
     "Referrer-Policy": "no-referrer",  # the address may hold the token
     "Cache-Control": "no-store",
 }
+
+
+#: Paths, and what answers to the query of each.
+Answers = Mapping[str, Callable[[str], str | None]]
 
 
 class _Stand:
@@ -68,13 +74,15 @@ def free_port(host: str, port: int, *, tries: int = _PORTS_TRIED) -> int:
     raise ParameterError(f"the page cannot be served at {host}, port {port}{last}: {reason}; choose another with --port")
 
 
-def start_server(access: Access, port: int, *, label: str) -> Any:
+def start_server(access: Access, port: int, *, label: str, answers: Answers | None = None) -> Any:
     """Start viser's server (a `viser.ViserServer`) behind the rules.
 
     Args:
         access: who may do what; its host is what the server binds to.
         port: where to listen.
         label: heads the page's controls.
+        answers: what is told at further addresses, to those who may look: path and what makes JSON of the query, None for nothing
+            there; called from threads of their own.
 
     Raises:
         ParameterError: the port is taken, or the installed viser cannot be guarded.
@@ -89,7 +97,7 @@ def start_server(access: Access, port: int, *, label: str) -> Any:
     def serve(handler: Callable[[Any], Awaitable[None]], *args: Any, process_request: Any = None, **options: Any) -> Any:
         guards.append(handler)
         return websockets.asyncio.server.serve(
-            _filtered(handler, access), *args, process_request=_guarded(process_request, access), **options
+            _filtered(handler, access), *args, process_request=_guarded(process_request, access, answers or {}), **options
         )
 
     port = free_port(access.host, port, tries=1)
@@ -127,12 +135,12 @@ def _quiet() -> Iterator[None]:
         console.quiet = before
 
 
-def _guarded(serve_file: Any, access: Access) -> Callable[[Any, Any], Any]:
-    """Ask `access` before a file is served or a socket opened."""
+def _guarded(serve_file: Any, access: Access, answers: Answers) -> Callable[[Any, Any], Any]:
+    """Ask `access` before a file is served, a question answered or a socket opened."""
     from websockets import Headers
     from websockets.http11 import Response
 
-    def process_request(connection: Any, request: Any) -> Any:
+    async def process_request(connection: Any, request: Any) -> Any:
         websocket = "websocket" in request.headers.get("Upgrade", "").lower()
         reason = access.refusal(request.headers, websocket=websocket)
         if reason is not None:
@@ -141,6 +149,12 @@ def _guarded(serve_file: Any, access: Access) -> Callable[[Any, Any], Any]:
             return Response(http.HTTPStatus.FORBIDDEN, "Forbidden", headers, body)
         if websocket:
             return None
+        address = urlsplit(request.path)
+        if address.path in answers:
+            said = await asyncio.get_running_loop().run_in_executor(None, answers[address.path], address.query)
+            body = ("null" if said is None else said).encode()
+            headers = Headers(**{"Content-Type": "application/json", "Content-Length": str(len(body)), **_HEADERS})
+            return Response(http.HTTPStatus.OK, "OK", headers, body)
         response = serve_file(connection, request)
         if response is not None:
             _dress(response)

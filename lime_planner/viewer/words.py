@@ -9,11 +9,12 @@ from collections.abc import Sequence
 import numpy as np
 
 from lime_planner.core.status import Status
+from lime_planner.output.approach_lines import APPROACH_COLOURS, APPROACH_WORDS
 from lime_planner.output.picture import ARM, FREE_PATH, LEAFY_PATH, LIME, STEM, TARGET
 from lime_planner.output.timeline import CLEARANCE_SHOWN_M, Timeline
 from lime_planner.pipeline.plan_record import PlanRecord
 from lime_planner.viewer.backend import Activity, Moment
-from lime_planner.viewer.layers import APPROACH_COLOURS, BLOCKED, LEAF, Colour, rgb
+from lime_planner.viewer.layers import BLOCKED, LEAF, Colour, rgb
 
 #: Signs of the status line; refusals and finds have their own, so that no colour is needed to tell them apart.
 _SIGNS = {Activity.LOADING: "…", Activity.IDLE: "●", Activity.PLANNING: "◔", Activity.MOVING: "▶", Activity.STOPPING: "■"}
@@ -129,7 +130,6 @@ def comparison(first: tuple[PlanRecord, Timeline | None], second: tuple[PlanReco
 
 def legend() -> str:
     """Return what the scene's colours mean."""
-    free, hand, arm, room, reach = (rgb(colour) for colour in APPROACH_COLOURS.values())
     entries: tuple[tuple[Colour, str], ...] = (
         (rgb(LEAF), "leaves: may be touched, cost"),
         (rgb(STEM), "stems: never touched"),
@@ -139,11 +139,7 @@ def legend() -> str:
         (rgb(LEAFY_PATH), "path among leaves, leaves touched"),
         (rgb(TARGET), "target, and from where"),
         (rgb(BLOCKED), "what is in the way"),
-        (free, "approach: free"),
-        (hand, "approach: hand blocked"),
-        (arm, "approach: arm blocked"),
-        (room, "approach: no straight way"),
-        (reach, "approach: out of reach"),
+        *((rgb(colour), f"approach: {APPROACH_WORDS[outcome]}") for outcome, colour in APPROACH_COLOURS.items()),
     )
     items = "".join(f'<span><i style="background:rgb{colour}"></i>{html.escape(words)}</span>' for colour, words in entries)
     return f'<div class="lp-legend">{items}</div>'

@@ -12,8 +12,8 @@ from lime_planner.pipeline.leaf_spans import leaf_spans
 
 def test_cost_of_polished_paths_is_true() -> None:
     problems, _ = choose_problems([*scan_specs(shared_data()), *plant_specs(["medium:1", "dense:2"])], 6)
-    found = [compare(build_problem(spec), seed, 1200) for spec in problems for seed in (1, 2)]
-    assert sum(row["cost"] is not None for row in found) >= 8
+    found = [compare(build_problem(spec), 1, 1200) for spec in problems]
+    assert sum(row["cost"] is not None for row in found) >= 4
     assert not [row for row in found if not is_true(row)]
 
 

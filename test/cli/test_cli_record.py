@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -11,8 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 from arm_helpers import robot_named
+from domains import DOMAIN
 from live_robot import HOME, JOINTS, Robot
-from test_from_recording import at_x, cloud, joints, pose, write
+from test_from_recording import T, at_x, cloud, joints, pose, transform, write
 
 from lime_planner.cli import arguments
 from lime_planner.cli import main as cli
@@ -23,8 +23,6 @@ from lime_planner.scene.files import load_start
 from lime_planner.scene.scene import Scene
 
 pytestmark = pytest.mark.alone
-
-DOMAIN = 62 + os.getpid() % 38
 
 
 @pytest.fixture(scope="module")
@@ -67,6 +65,20 @@ def test_live_topics(robot: Robot, tmp_path: Path, capsys: pytest.CaptureFixture
     assert 0 < len(scene.leaf_points) < 300  # some stand alone
     assert scene.target_pose == pytest.approx([0.5, 0.1, 0.4, 0, 0, 0, 1])
     assert start is not None and start.joint_names == JOINTS and start.q == pytest.approx(HOME)
+
+
+def test_cameras_that_take_turns_are_put_together(robot: Robot, tmp_path: Path) -> None:
+    robot.heal()
+    robot.cameras = ("left", "right")
+    out, frames = tmp_path / "both.npz", "static_transforms=[base left 0 0.3 0.2 0 0 0 1, base right 0 -0.3 0.2 0 0 0 1]"
+    assert run("record", out, "--set", frames) == 0
+    scene = Scene.load(out)
+    assert scene.viewpoints is not None and scene.stem_view_ids is not None
+    sides = np.sign(scene.viewpoints[:, 1])
+    assert {side: int((sides[scene.stem_view_ids] == side).sum()) >= 200 for side in (-1, 1)} == {-1: True, 1: True}
+    assert run("record", out, "--set", frames, "--set", "fuse_views=false") == 0
+    assert len(Scene.load(out).stem_points) == 200
+    robot.heal()
 
 
 def test_what_is_not_heard(robot: Robot, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -132,6 +144,21 @@ def test_a_moment_of_a_recording(bag: Path, tmp_path: Path, capsys: pytest.Captu
     assert "the arm's own points" not in said
     assert run("record", out, "--bag", bag, "--stem", "/stems") == 1
     assert "NO_TARGET: the recording has no grasp_target" in capsys.readouterr().err
+
+
+def test_a_fruit_is_a_target_too(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    target = pose(0.5)
+    fruit = T["geometry_msgs/msg/PointStamped"](header=target.header, point=target.pose.position)
+    sent = [(0.0, "/joint_states", joints(*HOME, names=JOINTS)), (0.0, "/stem_cloud", cloud(at_x(1.0, 30), "camera"))]
+    sent += [(0.0, "/tf_static", transform("base", "camera", -0.2)), (0.0, "/fruit_target", fruit)]
+    out = tmp_path / "then.npz"
+    assert run("record", out, "--bag", write(tmp_path / "recording", sent), "--json") == 0, capsys.readouterr().err
+    answer = json.loads(capsys.readouterr().out)
+    assert answer["fruit_centres"] == [[0.5, 0.0, 0.0]] and answer["missing"] == []
+    assert answer["viewpoints"] == [[pytest.approx(-0.2), 0.0, 0.0]]
+    assert run("scene", "info", out) == 0
+    said = capsys.readouterr().out
+    assert "fruit by number: 0 at 0.500 0.000 0.000" in said and "seen from: 0 at -0.200 0.000 0.000" in said
 
 
 def test_plans_on_a_recording_and_on_what_was_recorded(bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

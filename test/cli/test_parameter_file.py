@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 import rclpy
+from domains import DOMAIN
 from rclpy.node import Node
 
 from lime_planner.cli.main import main
@@ -34,7 +35,7 @@ def by_rcl(path: Path, namespace: str) -> dict[str, object]:
     """The parameters that a node takes from a file."""
     context = rclpy.Context()
     given = ["-r", f"__ns:={namespace}"] if namespace else []
-    rclpy.init(args=["node", "--ros-args", "--params-file", str(path), *given], context=context, domain_id=86)
+    rclpy.init(args=["node", "--ros-args", "--params-file", str(path), *given], context=context, domain_id=DOMAIN)
     node = Node("lime_planner", context=context, enable_rosout=False, start_parameter_services=False)
     try:
         return {name: parameter.value for name, parameter in node._parameter_overrides.items()}

@@ -54,7 +54,8 @@ def commands_in(text: str, where: str) -> Iterator[Printed]:
 def printed_commands() -> list[Printed]:
     found = [command for page in PAGES for command in commands_in(page.read_text(encoding="utf-8"), str(page.relative_to(ROOT)))]
     for path in SOURCES:
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        text = path.read_text(encoding="utf-8")
+        for node in ast.walk(ast.parse(text)) if "lime-planner " in text else ():
             if isinstance(node, ast.Constant) and isinstance(node.value, str) and "lime-planner " in node.value:
                 found += commands_in(node.value, f"{path.relative_to(ROOT)}:{node.lineno}")
     return list(dict.fromkeys(found))

@@ -1,4 +1,4 @@
-"""Two hundred wrong uses: each ends in one sentence of ours, and none of a library's reaches the user."""
+"""More than two hundred wrong uses: each ends in one sentence of ours, and none of a library's reaches the user."""
 
 from __future__ import annotations
 
@@ -19,7 +19,8 @@ from lime_planner.cli import main as cli
 #: What only a library, or an exception that nobody meant to show, would say.
 FOREIGN = re.compile(
     r"allow_pickle|pickle|Traceback|\[Errno|numpy|np\.|dtype|has no attribute|NoneType|\b\w+Error\b(?<!BAD_INPUT)|zipfile|BadZip|"
-    r"open3d|TensorMap|<class|<built-in|could not convert|invalid literal|unpack|argument of type|codec can't|Expecting value|line 1 column"
+    r"open3d|TensorMap|<class|<built-in|could not convert|invalid literal|unpack|argument of type|codec can't|Expecting \w+|line 1 column|"
+    r"AnyReader|RecursionError|subscriptable|RCL|Warning:"
 )
 
 
@@ -110,7 +111,11 @@ OPTIONS = [
     "--set =1", "--set robot=topic", "--set robot=missing.urdf", "--set robot=good.npz", "--set keep_out_boxes=[1,2]",
     "--set keep_out_boxes=[1,1,1,0,0,0]", "--set keep_out_boxes={", "--set leaf_labels=[0.5]", "--set leaf_labels=[a]", "--set leaf_labels=[0] --set stem_labels=[0]",
     "--set controller=jtc", "--set tool_frame=nose", "--set planning_frame=moon", "--set arm_joints=[a,b]", "--bag missing", "--bag .", "--at 3",
-    "--leaf /a", "--json .", "--picture /proc/a.png", "--nonsense",
+    "--leaf /a", "--json .", "--picture /proc/a.png", "--nonsense", "--fruit 0", "--fruit x", "--fruit 0 --freedom roll", "--freedom any",
+    "--candidates missing.json", "--candidates broken.json", "--candidates deep.json", "--candidates good.npz", "--candidates rows.csv",
+    "--candidates poses.npy", "--candidates text.npy", "--candidates .", "--target 0.4 0 0.4 --candidates rows.csv", "--params missing.yaml",
+    "--params broken.yaml", "--params good.npz", "--params list.yaml", "--params values.yaml", "--namespace 9/&", "--seed 99999999999999999999",
+    "--time 1e400", "--offset inf 0 0", "--scale 1e300", "--set class_costs=[5]", "--set static_transforms=[1]", "--set planner=", "--debugg",
 ]  # fmt: skip
 
 #: Robot descriptions, as `--set robot=arm.urdf`.
@@ -120,6 +125,12 @@ ROBOTS = {
     "latin.urdf": "<robot name='ä'/>".encode("latin-1"), "doctype.urdf": b"<!DOCTYPE a><robot/>", "xacro.urdf": b"<robot><xacro:a/></robot>",
 }  # fmt: skip
 
+#: What else lies in the folder.
+TEXTS = {
+    "broken.json": "{", "deep.json": "[" * 100_000, "rows.csv": "1,2,3\n", "text.npy": "hello", "broken.yaml": "a:\n\t- 1", "list.yaml": "- 1\n",
+    "values.yaml": "lime_planner:\n  ros__parameters:\n    voxel_m: big\n", "text.mcap": "hello", "empty.mcap": "", "text.db3": "hello",
+}  # fmt: skip
+
 #: Further commands.
 COMMANDS = [
     "animate good.npz --out a.gif", "animate plan.json --out a.gif", "animate missing.json --out a.gif", "animate broken.json --out a.gif",
@@ -127,6 +138,12 @@ COMMANDS = [
     "scene plant --out a.npz --density lush", "scene plant --out a.npz --height -1", "scene plant --out a.npz --leaves -4", "scene plant",
     "scene plant --out .", "scene", "scene nothing", "scene info", "parameters --nothing", "parameters zzzzzz", "completion fish", "nothing",
     "doctor --only nothing", "record", "record a.npz --bag missing", "record a.npz --bag . --at x", "plan",
+    "plan --bag text.mcap", "plan --bag empty.mcap", "plan --bag text.db3", "plan --bag bag", "record a.npz --bag text.mcap", "record a.npz --bag bag",
+    "record a.npz --leaf 9bad/&topic", "scene plant --out a.npz --position nan 0 0", "scene plant --out a.npz --position 1e300 0 0",
+    "scene see good.npz --from 1e300 0 1 --out a.npz", "scene see good.npz --from 1 0 1 --at 1 0 1 --out a.npz", "scene clean", "view deep.json",
+    "view good.npz --host 999.1.1.1 --no-browser", "view good.npz --port 0", "animate deep.json --out a.gif", "animate plan.json --out a.gif --fps 0",
+    "experiment wall --out o --jobs 0", "experiment wall --out o --wall broken.json", "experiment wall --out o --option x", "bench nothing",
+    "experiment lime --out o --jobs x", "demo --looks -1", "demo --scene missing.npz", "Plan good.npz",
     "record a.doc --bag .", "experiment", "experiment nothing", "view missing.npz", "view broken.json", "plan good.npz extra.npz",
 ]  # fmt: skip
 
@@ -139,7 +156,11 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     )
     for name, content in {**ROBOTS, "good.npz": npz(points=P, labels=L, target_pose=[0.4, 0, 0.4, 0, 0, 0, 1.0])}.items():
         (tmp_path / name).write_bytes(content)
-    (tmp_path / "broken.json").write_text("{")
+    for name, text in TEXTS.items():
+        (tmp_path / name).write_text(text)
+    (tmp_path / "poses.npy").write_bytes(npy(np.zeros((2, 6))))
+    (tmp_path / "bag").mkdir()
+    (tmp_path / "bag" / "metadata.yaml").write_text("rosbag2_bagfile_information: 3\n")
     (tmp_path / "plan.json").write_text(json.dumps({"status": "SUCCEEDED"}))
     return tmp_path
 
@@ -171,7 +192,7 @@ CASES: list[tuple[str, list[str]]] = [
 
 
 def test_there_are_enough() -> None:
-    assert len(CASES) >= 180
+    assert len({name for name, _ in CASES}) >= 230
 
 
 @pytest.mark.parametrize("words", [words for _, words in CASES], ids=[name for name, _ in CASES])

@@ -79,14 +79,14 @@ def test_agrees_with_an_independent_computation(name: str) -> None:
     checker = ExactChecker(robot, points, point_radius_m=RADIUS, leaf_points=points, leaf_point_radius_m=RADIUS)
     reference, every = Reference(robot), list(range(len(robot.links)))
     hits = mismatches = 0
-    for q in configurations(robot, rng, 1000, np.array([0.45, 0.0, 0.45]), 0.3):
+    for q in configurations(robot, rng, 400, np.array([0.45, 0.0, 0.45]), 0.3):
         distance = reference.nearest(q, points, every, 0.02)
         touching = checker.leaf_contact(q)
         hits += touching
         if abs(distance - RADIUS) > 2e-6:  # Open3D computes in single precision
             mismatches += touching != (distance < RADIUS)
-    print(f"{name}: 1000 configurations, {hits} in contact, {mismatches} mismatches")
-    assert 200 < hits < 800
+    print(f"{name}: 400 configurations, {hits} in contact, {mismatches} mismatches")
+    assert 80 < hits < 320
     assert mismatches == 0
 
 
@@ -100,7 +100,7 @@ def test_on_a_real_scan(shared_data: Path) -> None:
     reference, every = Reference(robot), list(range(len(robot.links)))
     checker.stem_hit(home(robot))
     times, hits = [], 0
-    for q in configurations(robot, rng, 200, np.array([0.55, 0.0, 0.35]), 0.3):
+    for q in configurations(robot, rng, 100, np.array([0.55, 0.0, 0.35]), 0.3):
         started = perf_counter()
         hit = checker.stem_hit(q)
         times.append(perf_counter() - started)
@@ -111,7 +111,7 @@ def test_on_a_real_scan(shared_data: Path) -> None:
             hits += 1
             assert reference.nearest(q, points, every, 0.02) < RADIUS + 2e-6
     print(f"{len(points)} stem points: median {1e6 * np.median(times):.0f} us, 95th percentile {1e6 * np.percentile(times, 95):.0f} us")
-    assert hits > 25
+    assert hits > 12
     assert np.median(times) < 1e-3
 
 

@@ -42,7 +42,7 @@ def test_powers_of_ten_are_numbers_in_text(text: str, value: Any) -> None:
         ("c_perm=1e", "c_perm must be a number, got '1e'"),
         ("c_perm='1e3'", "c_perm must be a number, got '1e3'"),
         ("stem_margin_m=1e3", "stem_margin_m is 1000.0; allowed: 0 to 0.2 m"),
-        ("motion_enabled=1e0", "motion_enabled must be a bool, got 1.0"),
+        ("motion_enabled=1e0", "motion_enabled must be true or false, got 1.0"),
     ],
 )
 def test_what_is_no_number_stays_refused(text: str, words: str) -> None:

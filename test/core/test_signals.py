@@ -11,6 +11,7 @@ import time
 from collections.abc import Iterator
 
 import pytest
+from domains import DOMAIN
 
 from lime_planner.core.signals import EndSignals
 
@@ -117,11 +118,10 @@ sys.exit(run_node(Ended))
 """
 
 
-@pytest.mark.alone
 def test_a_node_ends_by_a_signal_that_its_spinning_thread_receives() -> None:
     pytest.importorskip("rclpy", reason="ROS 2 is not installed")
     from ros_harness import environment
 
     command = [sys.executable, "-c", NODE]
-    ended = subprocess.run(command, env=environment(60 + os.getpid() % 40), capture_output=True, text=True, timeout=30.0, check=False)
+    ended = subprocess.run(command, env=environment(DOMAIN), capture_output=True, text=True, timeout=30.0, check=False)
     assert ended.returncode == 0 and "Traceback" not in ended.stderr, ended.stderr

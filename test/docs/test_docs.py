@@ -76,6 +76,27 @@ def test_search_works_in_pages_opened_as_files(site: Path) -> None:
         assert first.inner_text() == "Statuses"
 
 
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_pages_can_be_read_on_screens_of_all_widths(site: Path, scheme: str) -> None:
+    """One page of each kind: text with code, generated tables, a list of statuses, Python, a notebook."""
+    pytest.importorskip("playwright.sync_api")
+    from browser import chromium
+    from legible import WIDTHS, faint, too_wide
+
+    kinds = ("index", "tutorials/first-plan", "reference/parameters", "reference/statuses", "reference/python", "notebooks/first_plan")
+    problems = []
+    with chromium() as browser:
+        page = browser.new_context(color_scheme=scheme).new_page()  # type: ignore[arg-type]
+        for kind in kinds:
+            page.goto((site / f"{kind}.html").as_uri(), wait_until="domcontentloaded", timeout=120_000.0)
+            assert page.locator("body").get_attribute("data-md-color-scheme") == ("default" if scheme == "light" else "slate")
+            problems += [f"{kind}: {words}" for words in faint(page)]
+            for width in WIDTHS if scheme == "light" else ():  # colours take no room
+                page.set_viewport_size({"width": width, "height": 800})
+                problems += [f"{kind} at {width} px: {words}" for words in too_wide(page)]
+    assert problems == []
+
+
 def test_every_placeholder_is_filled(site: Path) -> None:
     for page in site.rglob("*.html"):
         assert "{{" not in page.read_text(encoding="utf-8"), page

@@ -26,6 +26,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from domains import DOMAIN
 
 from lime_planner.cli import main as cli
 
@@ -81,7 +82,7 @@ def check_syntax(block: Block) -> None:
 def environment() -> dict[str, str]:
     path = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
     python = os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH", "")]))
-    return {**os.environ, "PATH": path, "PYTHONPATH": python, "ROS_DOMAIN_ID": str(40 + os.getpid() % 20), "PYTHONUNBUFFERED": "1"}
+    return {**os.environ, "PATH": path, "PYTHONPATH": python, "ROS_DOMAIN_ID": str(DOMAIN), "PYTHONUNBUFFERED": "1"}
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)

@@ -189,3 +189,14 @@ def test_planted_faults_of_the_graph(robot: Robot, doctor: Doctor, monkeypatch: 
     code, findings = doctor("--only", "live", "--live", "--wait", 0.3)
     assert code == 1
     assert_named(findings, "domains", f"nothing is heard in domain {DOMAIN + 1}", f"{DOMAIN} (")
+
+
+def test_what_came_before_anyone_asked_is_told(robot: Robot, shared: SharedListener) -> None:
+    with shared as listener:
+        listener.wait(lambda: all(listener.inputs.slots[name].newest for name in ("leaf_cloud", "stem_cloud")), 10.0)
+        told: list[str] = []
+        listener.tell_arrivals(told.append)
+        assert {"leaf_cloud", "stem_cloud", "grasp_target"} <= set(told[:3]), told
+        count = len(told)
+        assert listener.wait(lambda: len(told) > count, 10.0)
+        listener.tell_arrivals(lambda _name: None)

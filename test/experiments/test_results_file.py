@@ -104,7 +104,8 @@ collection.collect(dataclasses.replace(plan(range(6)), run=run), Path(sys.argv[1
 
 def test_a_killed_run_keeps_every_finished_trial(tmp_path: Path) -> None:
     path = tmp_path / "results.json"
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), str(ROOT / "test"), str(Path(__file__).parent)])}
+    folders = (ROOT, ROOT / "test", ROOT / "test" / "helpers", Path(__file__).parent)
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(map(str, folders))}
     died = subprocess.run([sys.executable, "-c", KILLED, str(path)], env=environment, cwd=tmp_path, timeout=120, check=False)
     assert died.returncode == -signal.SIGKILL
     assert numbers_in(json.loads(path.read_text())["trials"]) == [0]

@@ -15,7 +15,7 @@ import numpy as np
 import rclpy
 from control_msgs.action import FollowJointTrajectory
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
-from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.callback_groups import MutuallyExclusiveCallbackGroup, ReentrantCallbackGroup
 from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
 from rclpy.node import Node
 from ros_fakes import JOINTS, START
@@ -36,16 +36,16 @@ class Arm(Node):
         self.active: Any = None
         self.declare_parameter("fault", "")
         self.publisher = self.create_publisher(JointState, "joint_states", 10)
-        group = ReentrantCallbackGroup()
-        self.create_timer(0.01, self.publish, callback_group=group)
+        self.create_timer(0.01, self.publish, callback_group=ReentrantCallbackGroup())
         self.server = ActionServer(
             self,
             FollowJointTrajectory,
             ACTION,
             self.play,
             goal_callback=self.judge,
+            handle_accepted_callback=self.begin,
             cancel_callback=self.cancel,
-            callback_group=group,
+            callback_group=MutuallyExclusiveCallbackGroup(),  # no cancellation is heard between a goal's acceptance and its begin
         )
 
     @property
@@ -68,14 +68,17 @@ class Arm(Node):
         print("cancel of the active goal" if handle is self.active else "cancel of another goal", flush=True)
         return CancelResponse.ACCEPT
 
+    def begin(self, handle: Any) -> None:
+        print(f"goal of {len(handle.request.trajectory.points)} points", flush=True)
+        with self.lock:
+            self.active = handle  # the one before is let go, as the controller does
+        handle.execute()
+
     def play(self, handle: Any) -> Any:
         msg = handle.request.trajectory
-        print(f"goal of {len(msg.points)} points", flush=True)
         times = [point.time_from_start.sec + 1e-9 * point.time_from_start.nanosec for point in msg.points]
         rows, speeds = (np.array([getattr(point, what) for point in msg.points]) for what in ("positions", "velocities"))
         motion = Trajectory.from_samples(tuple(msg.joint_names), times, rows, speeds)
-        with self.lock:
-            self.active = handle  # the one before is let go, as the controller does
         began, result = time.monotonic(), FollowJointTrajectory.Result()
         while (elapsed := time.monotonic() - began) < motion.duration_s:
             if self.active is not handle:

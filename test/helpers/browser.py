@@ -7,6 +7,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Literal
 
 from playwright.sync_api import Browser, ConsoleMessage, Page, sync_playwright
 
@@ -43,9 +44,9 @@ def chromium() -> Iterator[Browser]:
 class Tab:
     """One browser window of its own on a page, and what its console said."""
 
-    def __init__(self, browser: Browser, url: str) -> None:
+    def __init__(self, browser: Browser, url: str, scheme: Literal["light", "dark"] = "light") -> None:
         self.complaints: list[str] = []
-        self.context = browser.new_context(viewport=SIZE)  # type: ignore[arg-type]
+        self.context = browser.new_context(viewport=SIZE, color_scheme=scheme)  # type: ignore[arg-type]
         self.page: Page = self.context.new_page()
         self.page.set_default_timeout(60_000.0)  # drawing by software takes its time on a machine that is busy
         self.page.on("console", self._on_console)

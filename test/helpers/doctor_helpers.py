@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Callable
 from typing import Any
 
 import pytest
+from domains import DOMAIN
 
 from lime_planner.cli import main as cli
 from lime_planner.doctor.machine import shipped_profile
 
-DOMAIN = 62 + os.getpid() % 38
 Findings = dict[str, dict[str, str]]
 Doctor = Callable[..., tuple[int, Findings]]
 

@@ -7,6 +7,7 @@ import sys
 
 from ros_fakes import FakePipeline, FakeRobot
 
+from lime_planner.ros.execution import output
 from lime_planner.ros.model_loader import Loaded
 from lime_planner.ros.nodes import planner_node
 from lime_planner.ros.runtime import run_node
@@ -20,6 +21,7 @@ def build(settings: object, urdf: str | None) -> Loaded:
 
 
 if __name__ == "__main__":
+    output._CANCEL_AFTER_S = float(os.environ.get("FAKE_CANCEL_AFTER_S", output._CANCEL_AFTER_S))
     # No meshes, no filter.
     planner_node.make_arm_filter = lambda robot: lambda scene, q, padding_m: scene
     sys.exit(run_node(lambda: planner_node.PlannerNode(build)))

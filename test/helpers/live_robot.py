@@ -48,6 +48,7 @@ class Robot:
         self.names = JOINTS
         self.age_s = dict.fromkeys(self.age_s, 0.0)
         self.clouds = {"leaf_cloud": cloud(300), "stem_cloud": cloud(200)}
+        self.cameras: tuple[str, ...] = ()  #: frames of cameras that take turns
         msg = PoseStamped(pose=to_pose([0.5, 0.1, 0.4, 0.0, 0.0, 0.0, 1.0]))
         msg.header.frame_id = "base"
         self.pose = msg
@@ -61,6 +62,8 @@ class Robot:
             self.joints.publish(msg)
         for name, msg in list(self.clouds.items()):
             msg.header.stamp = self.stamp(name)
+            if self.cameras:
+                msg.header.frame_id = self.cameras[self.cycles % len(self.cameras)]
             self.publishers[name].publish(msg)
 
     def stamp(self, name: str) -> Any:

@@ -138,7 +138,7 @@ class Rig:
 
     def wait_until(self, condition: Callable[[], bool], what: str) -> None:
         """Wait for a condition."""
-        deadline = time.monotonic() + 10.0
+        deadline = time.monotonic() + 120.0  # a busy machine loads the kernels for half a minute
         while not condition():
             assert time.monotonic() < deadline, what
             time.sleep(0.001)

@@ -230,7 +230,7 @@ ROWS = (
     Row("parameter", "time_budget_s = nan", parameter("time_budget_s", NAN), "refused", "out of range", service=""),
     Row("parameter", "time_budget_s = 'soon'", parameter("time_budget_s", "soon"), "refused", "must be a number", service=""),
     Row("parameter", "planner = 'magic'", parameter("planner", "magic"), "refused", "one of lime_star", service=""),
-    Row("parameter", "motion_enabled = 1", parameter("motion_enabled", 1), "refused", "must be a bool", service=""),
+    Row("parameter", "motion_enabled = 1", parameter("motion_enabled", 1), "refused", "must be true or false", service=""),
     Row("parameter", "iterations = nan", parameter("iterations", NAN), "refused", "must be finite", service=""),
     Row("parameter", "leaf_labels = 3", parameter("leaf_labels", 3), "refused", "must be a list", service=""),
     Row("parameter", "label_field = 'x'", parameter("label_field", "x"), "refused", "must name a field", service=""),

@@ -82,7 +82,7 @@ class Program:
         for line in self.process.stdout:
             self.lines.append(line.rstrip())
 
-    def wait_for(self, text: str, timeout_s: float = 60.0) -> None:
+    def wait_for(self, text: str, timeout_s: float = 240.0) -> None:
         """Wait until a line with `text` was printed."""
         deadline = time.monotonic() + timeout_s
         while not any(text in line for line in list(self.lines)):
@@ -199,6 +199,11 @@ class Bench:
         if self.publish_states:
             self.joints.publish(self.joint_state(self.q))
 
+    @property
+    def rests(self) -> bool:
+        """Whether the played arm has come to the end of what it was sent."""
+        return self._motion is None or time.monotonic() - self._motion[0] > self._motion[1].duration_s
+
     def joint_state(self, q: np.ndarray, names: Sequence[str] | None = None) -> JointState:
         """Make a joint state stamped now."""
         msg = JointState(name=list(names or self.joint_names), position=[float(v) for v in q])
@@ -259,6 +264,10 @@ class Bench:
     def received(self, name: str) -> int:
         """How many messages of an input the planner has received, by its diagnostics."""
         return int(self.health.get(f"{name}.received", "0"))
+
+    def wait_inputs(self) -> None:
+        """Wait until the planner has a stem cloud and a target: on a busy machine it finds each publisher seconds after the other."""
+        self.wait(lambda: self.received("grasp_target") and self.received("stem_cloud"), 20.0, "the inputs' arrival")
 
     def status_of(self, response: Any) -> dict[str, str]:
         """The status that ended the plan of this answer; it may come after the answer."""

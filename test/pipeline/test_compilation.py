@@ -28,7 +28,7 @@ def test_a_pipe_sees_how_far_the_compiler_is(monkeypatch: pytest.MonkeyPatch, ca
     monkeypatch.setattr(compilation, "ensure_compiled", ensure)
     assert console.compile_first()
     lines = capsys.readouterr().err.splitlines()
-    assert [line.rpartition(": ")[2] for line in lines] == ["0 functions, 0 s", "20 functions, 5 s"]
+    assert [line.rpartition(": ")[2] for line in lines] == ["looking for what is not compiled yet, 0 s", "20 functions done, 5 s"]
     monkeypatch.setattr(kernel_cache, "all_compiled", lambda: True)
     assert not console.compile_first() and not capsys.readouterr().err
     assert commands.main(["compile"]) == 0 and "everything is compiled already" in capsys.readouterr().out

@@ -26,6 +26,7 @@ OTHERS: dict[str, list[Any]] = {
     "keep_out_boxes": [[0.2, 0.2, 0.2, 0.3, 0.3, 0.3]],
     "workspace_box": [[-1.0, -1.0, -0.2, 1.0, 1.0, 1.4]],
     "arm_joints": [["a", "b"]],
+    "finger_positions": [["j2s6s200_joint_finger_1: 0.5"]],
 }
 #: Memory of the exact checker that holds nothing before its first check.
 SCRATCH = {"_poses", "_extents", "_tool", "_near", "_buffers"}

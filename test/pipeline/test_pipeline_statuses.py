@@ -20,8 +20,6 @@ from lime_planner.robot.ik import solve_ik
 from lime_planner.robot.model import home
 from lime_planner.scene.scene import Scene
 
-pytestmark = pytest.mark.alone
-
 QUICK = {"iterations": 400, "ik_starts": 128}
 FAR = [[0.0, 0.0, 1.8]]  # a stem out of everyone's way
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import gc
 import math
 import threading
@@ -36,25 +37,27 @@ def euclidean(a: np.ndarray, b: np.ndarray) -> float:
     return math.hypot(a[0] - b[0], a[1] - b[1])
 
 
-@numba.cfunc(ONE_CONFIGURATION)
 def c_valid(q: Any, n: int) -> float:
     return 0.0 if 20.0 < q[0] < 30.0 and 60.0 < q[1] < 100.0 else 1.0
 
 
-@numba.cfunc(ONE_CONFIGURATION)
 def c_leaf(q: Any, n: int) -> float:
     return 1.0 if abs(q[0] - 50.0) < (10.25 if abs(q[1] - 50.0) <= 30.0 else 7.25) else 0.0
 
 
-@numba.cfunc(TWO_CONFIGURATIONS)
 def c_distance(a: Any, b: Any, n: int) -> float:
     return math.sqrt((a[0] - b[0]) ** 2 + (a[1] - b[1]) ** 2)
 
 
-@numba.cfunc(FIELD)
 def c_field(q: Any, force: Any, d_star: float, k_leaf: float, k_stem: float, n: int) -> float:
     force[0] += 0.0
     return 1e9
+
+
+@functools.cache
+def c_compiled(function: Any, signature: Any = ONE_CONFIGURATION) -> Any:
+    """A C function of it; compiled where it is used, and not by all that collect the tests."""
+    return numba.cfunc(signature)(function)
 
 
 def plain() -> FunctionSpace:
@@ -62,7 +65,14 @@ def plain() -> FunctionSpace:
 
 
 def compiled() -> FunctionSpace:
-    return function_space(WORLD.lower, WORLD.upper, valid=c_valid, cost=c_leaf, distance=c_distance, edge_step=0.05)
+    return function_space(
+        WORLD.lower,
+        WORLD.upper,
+        valid=c_compiled(c_valid),
+        cost=c_compiled(c_leaf),
+        distance=c_compiled(c_distance, TWO_CONFIGURATIONS),
+        edge_step=0.05,
+    )
 
 
 def solve(space: Any, options: PaperOptions, iterations: int = 500) -> Any:
@@ -118,7 +128,7 @@ def test_field_function_biases_the_search_as_the_built_in_one_does() -> None:
 
 
 def test_compiled_field_function_is_called() -> None:
-    space = function_space(WORLD.lower, WORLD.upper, valid=c_valid, field=c_field)
+    space = function_space(WORLD.lower, WORLD.upper, valid=c_compiled(c_valid), field=c_compiled(c_field, FIELD))
     assert solve(space, PaperOptions(), 500).path is not None
 
 

@@ -44,7 +44,7 @@ def test_a_planner_keeps_the_protocol(name: str) -> None:
     np.testing.assert_array_equal(first.path[0], start)
     assert np.abs(goals[1:] - first.path[-1]).max(axis=1).min() == 0.0
     tree = first.tree()
-    assert len(tree.edges) == len(tree.leafy) and tree.edges.max() < len(tree.configurations)
+    assert len(tree.edges) == len(tree.leafy) and tree.edges.max(initial=-1) < len(tree.configurations)
     if planner.anytime:
         assert len(first.history) and all(b[2] < a[2] for a, b in itertools.pairwise(first.history))
     stopped = planner.run(Query(world.space(), start, goals, 7, should_stop=lambda: True), options)

@@ -79,7 +79,7 @@ def assert_tree_is_sound(outcome: PaperOutcome, propagated: bool) -> None:
 
 
 @given(st.integers(0, 1000), st.integers(0, 1000), any_options)
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=30, deadline=None)
 def test_what_every_planner_promises(wall: int, seed: int, changes: dict[str, Any]) -> None:
     world, options = random_wall(wall), PaperOptions(**changes)
     outcome = solve(world, options, seed, marks=MARKS)

@@ -275,7 +275,10 @@ MESH = '<collision><geometry><mesh filename="{}"/></geometry></collision>'
         (urdf(), {"tool_frame": "nose"}, "'nose'.*end_effector"),
         (urdf(), {"planning_frame": "hand"}, "no joint turns"),
         (urdf(), {"planning_frame": "upper", "joint_names": ["a", "b"]}, "stands still: base"),
-        (urdf(), {"locked": {"a": 0.0}, "joint_names": ["a", "b"]}, "'a' cannot be locked"),
+        (urdf(), {"locked": {"a": 0.0}, "joint_names": ["a", "b"]}, "'a': it is a joint of the arm"),
+        (urdf(), {"locked": {"x": 0.0}}, "'x': there is none of this name; joints outside the arm: f, g$"),
+        (urdf(), {"locked": {"c": 0.0}}, "'c': it is fixed; joints outside"),
+        (urdf(), {"locked": {"f": 5.0}}, "'f' cannot be at 5: its limits are 0.02 to 0.05"),
         (urdf().replace('lower="-1" upper="2"', 'lower="2" upper="-1"'), {}, "lower must be less"),
         (urdf().replace("end_effector", "thing"), {}, "Set tool_frame to one of left, right, thing"),
         (urdf(joint="").replace('<mimic joint="f"', '<mimic joint="a"'), {}, "g mimics the arm joint a"),
@@ -299,7 +302,7 @@ MESH = '<collision><geometry><mesh filename="{}"/></geometry></collision>'
         ),
         (urdf().replace('<mimic joint="f"', '<mimic joint="g"'), {}, "g mimics 'g'"),
     ],
-    ids=range(37),
+    ids=range(40),
 )
 def test_refused_with_a_sentence(text: str, arguments: dict[str, object], sentence: str) -> None:
     with pytest.raises(RobotError, match=sentence):

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from domains import DOMAIN
 
 from lime_planner.ros.launching import flag, log_arguments, rviz_remappings
 
@@ -105,13 +106,12 @@ def test_flags_are_true_or_false() -> None:
     assert flag("rviz", "True") and not flag("rviz", " off ")
 
 
-@pytest.mark.alone
 def test_the_log_level_is_that_of_the_node_alone() -> None:
     """The name of the logger is what rcl makes of namespace and node."""
     words = log_arguments("lime_planner", "/farm/left/", "debug")
     code = f"""
 import rclpy
-rclpy.init(args=["x", *{words!r}, "-r", "__ns:=/farm/left"], domain_id=96)
+rclpy.init(args=["x", *{words!r}, "-r", "__ns:=/farm/left"], domain_id={DOMAIN})
 node = rclpy.create_node("lime_planner")
 print(node.get_logger().get_effective_level().name, rclpy.logging.get_logger("rcl").get_effective_level().name)
 rclpy.shutdown()

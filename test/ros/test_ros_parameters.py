@@ -8,6 +8,7 @@ from collections.abc import Iterator
 
 import pytest
 import rclpy
+from domains import DOMAIN
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
@@ -25,7 +26,7 @@ pytestmark = pytest.mark.alone
 @pytest.fixture(scope="module")
 def context() -> Iterator[rclpy.Context]:
     context = rclpy.Context()
-    rclpy.init(context=context, domain_id=86)
+    rclpy.init(context=context, domain_id=DOMAIN)
     yield context
     context.try_shutdown()
 
@@ -85,7 +86,7 @@ def test_a_misspelt_name_is_refused_and_a_foreign_one_is_told(context: rclpy.Con
         ("time_budget_s", float("nan"), "out of range"),
         ("planner", "magic", "allowed: one of lime_star"),
         ("velocity_scaling", 1.5, "velocity_scaling"),
-        ("motion_enabled", 1, "motion_enabled must be a bool"),
+        ("motion_enabled", 1, "motion_enabled must be true or false"),
         ("keep_out_boxes", [0.0, 0.0], "multiple of 6"),
         ("keep_out_boxes", [1.0, 0.0, 0.0, 0.0, 1.0, 1.0], "minimum"),
         ("leaf_labels", [1], "leaf_labels and stem_labels share 1; a class has one meaning"),

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import os
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 import rclpy
+from domains import DOMAIN
 from rclpy.parameter import Parameter
 from ros_fakes import build_fake
 
@@ -24,7 +24,7 @@ BY_VERSION = {"/parameter_events", "/lime_planner/get_type_description"}
 @pytest.fixture(scope="module")
 def node() -> Iterator[PlannerNode]:
     context = rclpy.Context()
-    rclpy.init(context=context, domain_id=60 + os.getpid() % 40)
+    rclpy.init(context=context, domain_id=DOMAIN)
     overrides = [Parameter("robot", value="topic"), Parameter("use_sim_time", value=True)]
     node = PlannerNode(build_fake, context=context, parameter_overrides=overrides)
     yield node

@@ -14,8 +14,6 @@ from lime_planner.scene.plants.generator import PlantOptions, generate_plant
 from lime_planner.scene.scene import Scene
 from lime_planner.scene.voxels import displacement, lonely, thin, warm_up
 
-pytestmark = pytest.mark.alone
-
 
 @pytest.fixture(scope="module")
 def plant():
@@ -149,17 +147,26 @@ def cloud(n):
     return points, labels[pick]
 
 
-@pytest.mark.parametrize(("n", "limit_s"), [(100_000, 0.15), (5_000_000, 3.0)])
-def test_time_from_points_to_a_clean_scene(n, limit_s):
+def thin_by_sorting(points):
+    """The plain way to thin once, with NumPy: a measure of how fast the machine is at such work right now."""
+    cells = np.floor(points[np.isfinite(points).all(axis=1)] / 0.004).astype(np.int64)
+    np.unique((cells[:, 0] << 42) + (cells[:, 1] << 21) + cells[:, 2], return_index=True, return_inverse=True)
+
+
+@pytest.mark.alone
+@pytest.mark.parametrize("n", [100_000, 5_000_000])
+def test_a_scene_is_cleaned_in_the_time_of_one_plain_thinning(n):
+    """Points taken in, cropped, lonely ones dropped, thinned as often as it takes: about 1.2 times what NumPy takes to thin once."""
     points, labels = cloud(n)
     warm_up()
-    took_s = []
+    ratios = []
     for _ in range(3):  # the machine is shared: the best of three
-        begin = time.perf_counter()
+        begin = time.process_time()
         scene = clean_scene(Scene.from_points(points, labels), reach_m=1.2)
-        took_s.append(time.perf_counter() - begin)
-        if took_s[-1] < limit_s:
+        cleaned = time.process_time()
+        thin_by_sorting(points)
+        ratios.append((cleaned - begin) / (time.process_time() - cleaned))
+        if ratios[-1] < 2.0:
             break
-    print(f"\n{n} points: {min(took_s):.3f} s, {len(scene.leaf_points)} leaf and {len(scene.stem_points)} stem points left")
-    assert min(took_s) < limit_s
+    assert min(ratios) < 2.0
     assert scene.counts["non_finite"] == n // 1000

@@ -220,7 +220,7 @@ def test_what_is_no_recording(tmp_path: Path) -> None:
     for path, words in (
         (tmp_path / "none", "no such recording"),
         (tmp_path / "empty", "has no metadata.yaml, and no .mcap or .db3 either"),
-        (tmp_path / "plan.mcap", "is not a readable recording .*seems to be empty.*mcap recover"),
+        (tmp_path / "plan.mcap", "is not a readable recording: it is empty.*mcap recover"),
     ):
         with pytest.raises(SceneError, match=words):
             read(path)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from lime_planner.scene.camera import Camera, View, look_at, seen_in_views
+from lime_planner.scene.from_clouds import one_picture
 from lime_planner.scene.scene import Scene, merged
 from lime_planner.scene.views.fused import PASSED_M, Picture, Rays, add_picture, fused
 
@@ -105,3 +106,15 @@ def test_leaf_and_stem_cloud_of_one_camera_are_one_view() -> None:
     assert one.viewpoints is not None and len(one.viewpoints) == 2
     assert sorted(len(hits) for hits in one.hits_by_view()) == sorted([len(leaf.leaf_points) + len(WALL), len(WALL)])
     assert len(merged([leaf, stem, other], "base").viewpoints) == 3  # type: ignore[arg-type]
+
+
+def test_clouds_of_cameras_that_are_known_keep_what_each_of_them_saw() -> None:
+    """Only where who saw what was worked out is it worked out again with the other cloud."""
+    behind = patch(0.9, 0.0)  # the leaf is before it, for the camera in front
+    leaf = Scene.from_points(patch(0.5, 0.0, 0.1), np.zeros(len(patch(0.5, 0.0, 0.1))), viewpoints=[SIDE])
+    stem = Scene.from_points(behind, np.ones(len(behind)), viewpoints=[FRONT])
+    known = one_picture([leaf, stem], "base")
+    assert known.stem_view_ids is not None and (known.stem_view_ids >= 0).all()
+    shared = Scene.from_points(behind, np.ones(len(behind)), viewpoints=[FRONT, SIDE], view_ids=np.zeros(len(behind), np.int16))
+    told = one_picture([leaf, shared], "base")
+    assert told.stem_view_ids is not None and (told.stem_view_ids == -1).all()

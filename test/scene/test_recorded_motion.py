@@ -154,7 +154,7 @@ def test_a_file_that_was_cut_off(tmp_path: Path) -> None:
     folder = write(tmp_path / "whole", [(0.0, STEM, cloud(at_x(0.6, 400)))])
     file = next(folder.glob("*.mcap"))
     (tmp_path / "cut.mcap").write_bytes(file.read_bytes()[:-200])
-    with pytest.raises(SceneError, match=r"is not a readable recording .*mcap recover"):
+    with pytest.raises(SceneError, match=r"is not a readable recording: .*mcap recover"):
         read(tmp_path / "cut.mcap")
 
 

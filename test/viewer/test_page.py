@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 import numpy as np
 import pytest
-from arm_helpers import plant, robot_named, settings
-from browser import Tab, chromium
-from playwright.sync_api import Browser
+from arm_helpers import plant
+from browser import Browser, Tab
+from page_rig import browser_fixture, ready_backend, served_fixture, until  # noqa: F401 (fixtures)
 
 from lime_planner.collision.distance_fields import build_fields
-from lime_planner.viewer.access import Access
 from lime_planner.viewer.backend import Activity
 from lime_planner.viewer.debug_layers import slice_of
 from lime_planner.viewer.page import Page
@@ -22,33 +21,10 @@ from lime_planner.viewer.scene_backend import SceneBackend
 pytestmark = pytest.mark.alone
 
 
-def until(holds: Callable[[], bool], what: str, timeout_s: float = 60.0) -> None:
-    deadline = time.monotonic() + timeout_s
-    while not holds():
-        assert time.monotonic() < deadline, f"waited in vain for {what}"
-        time.sleep(0.02)
-
-
 @pytest.fixture(scope="module")
 def backend() -> Iterator[SceneBackend]:
-    made = SceneBackend(robot_named, settings(iterations=8000, seed=3), scene=plant(15), title="plant")
-    until(lambda: made.moment().activity is Activity.IDLE, "the planner", 120.0)
-    yield made
-    made.close()
-
-
-@pytest.fixture(scope="module")
-def served(backend: SceneBackend) -> Iterator[Page]:
-    page = Page(backend, Access(), 0)
-    yield page
-    assert page.failure == ""
-    page.close()
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
-    with chromium() as running:
-        yield running
+    with ready_backend(iterations=8000) as made:
+        yield made
 
 
 @pytest.fixture(scope="module")

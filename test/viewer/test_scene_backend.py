@@ -16,11 +16,13 @@ from lime_planner.cli.view import _backend
 from lime_planner.core.errors import ParameterError
 from lime_planner.core.geometry import pose_to_matrix
 from lime_planner.core.status import Status
-from lime_planner.output.animation import animate
+from lime_planner.output.animation import CHOSEN, animate
+from lime_planner.output.approach_lines import APPROACH_COLOURS
 from lime_planner.output.saved_plan import read_plan
 from lime_planner.output.search_tree import search_tree_of
 from lime_planner.output.timeline import Timeline, timeline_of
 from lime_planner.pipeline import PlanResult
+from lime_planner.pipeline.goals import FREE
 from lime_planner.pipeline.plan_record import PlanRecord
 from lime_planner.robot.model import home
 from lime_planner.viewer.backend import Activity, Moment, Wishes
@@ -180,6 +182,8 @@ def test_saved_plan_comes_back(tmp_path: Path, shown: PlanRecord, capsys: pytest
     result = saved.result(robot_named())
     assert result.status is Status.SUCCEEDED and result.trajectory is not None
     assert json.loads(plan.read_text())["trajectory"]["positions"] == result.trajectory.positions.tolist()
+    assert len(result.approaches) == result.grasps_tried >= 600 and int((result.approach_outcomes == FREE).sum()) == result.grasps_free
+    np.testing.assert_allclose(result.approaches[:, :3] - result.target.centre, 0.0, atol=1e-4)  # type: ignore[union-attr]
     assert saved.load_scene().n_points == shown.scene.n_points
     backend = SceneBackend(
         robot_named, settings(), scene=saved.load_scene(), target=saved.target, q_start=saved.q_start, saved=saved.result
@@ -195,7 +199,12 @@ def test_saved_plan_comes_back(tmp_path: Path, shown: PlanRecord, capsys: pytest
 
     with Image.open(gif) as picture:
         assert picture.width == 160
-        assert picture.n_frames == round(result.trajectory.duration_s * 2.0) + 1
+        assert picture.n_frames == 2 + round(result.trajectory.duration_s * 2.0) + 1
+        frames = [np.asarray(picture.convert("RGB")).astype(int) for number in range(3) if picture.seek(number) is None]
+    # First the approaches that were tried, green where they are free, then the chosen one in blue, then the motion.
+    green, blue = (np.round(255.0 * np.array(colour)) for colour in (APPROACH_COLOURS[FREE], CHOSEN))
+    near = [[int((np.abs(frame[44:] - colour).max(axis=2) < 12).sum()) for colour in (green, blue)] for frame in frames]
+    assert near[0][0] > near[1][0] and near[1][1] > near[2][1] and near[1][1] > near[0][1]
     assert cli.main(["animate", str(plan), "--out", str(tmp_path / "reach.avi")]) == 1
     assert "ends in none of .gif, .mp4" in capsys.readouterr().err
 

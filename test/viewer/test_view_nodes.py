@@ -65,7 +65,7 @@ class View:
 
 @pytest.fixture
 def view() -> Iterator[View]:
-    running = View()
+    running = View("--set", "velocity_scaling=0.1")  # long enough on the way for a browser that draws by software
     yield running
     if running.process.poll() is None:
         running.process.kill()

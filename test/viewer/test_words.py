@@ -23,7 +23,7 @@ from lime_planner.viewer.cameras import placed
 from lime_planner.viewer.goal import angles_of, frame_of
 from lime_planner.viewer.head import with_our_head
 from lime_planner.viewer.plots import charts, spans, ticks
-from lime_planner.viewer.pointing import what_is_under
+from lime_planner.viewer.pointing import Pointing, Ray
 
 
 @pytest.fixture(scope="module")
@@ -79,19 +79,43 @@ def test_angles_and_frames_agree() -> None:
 
 
 def test_what_is_under_the_pointer_is_named(found: PlanRecord) -> None:
-    scene = found.scene
-    assert scene.leaf_triangles is not None and scene.leaf_triangle_ids is not None and scene.fruit_centres is not None
+    scene, robot = found.scene, robot_named()
+    assert scene.leaf_triangles is not None and scene.leaf_triangle_ids is not None
+    assert scene.fruit_centres is not None and scene.fruit_radii is not None
+    named = Pointing(scene, reach_m=2.0)
     middles = scene.leaf_triangles.mean(axis=1).astype(np.float64)
     out = int(np.argmax(middles[:, 2]))  # nothing above it
-    down = np.array([0.0, 0.0, -1.0])
-    named = what_is_under(scene, middles[out] - 0.5 * down, down, None)
-    assert named is not None and named[0] == f"Leaf {scene.leaf_triangle_ids[out]}"
-    assert what_is_under(scene, np.array([5.0, 5.0, 5.0]), np.array([0.0, 0.0, 1.0]), None) is None
-    bare = scene_of(stems=[[0.5, 0.0, 0.5]], leaves=[[0.7, 0.0, 0.5]])
-    ray = np.array([1.0, 0.0, 0.0])
-    assert what_is_under(bare, np.array([0.0, 0.0, 0.5]), ray, None) == ("Stem point 0", "At 0.50 0.00 0.50 m. Never touched.")
-    behind = what_is_under(bare, np.array([0.6, 0.0, 0.5]), ray, None)
-    assert behind is not None and behind[0] == "Leaf"
+    above = Ray.through(middles[out] + [0.0, 0.0, 0.5], np.array([0.0, 0.0, -3.0]))
+    leaf = named.under(above)
+    assert leaf is not None and (leaf.kind, leaf.title) == ("leaf", f"Leaf {scene.leaf_triangle_ids[out]}")
+    behind = named.under(above, shows=lambda part: part != "leaves")
+    assert behind is None or behind.kind != "leaf", "what is hidden is not named"
+    far = Pointing(scene, reach_m=0.1).under(above)
+    assert far is None or far.kind == "lime", "what is too far away to be drawn is not named"
+    assert named.under(Ray.through(np.full(3, 5.0), np.array([0.0, 0.0, 1.0]))) is None
+    for lime, (centre, radius) in enumerate(zip(scene.fruit_centres, scene.fruit_radii, strict=True)):
+        near = named.under(Ray.through(centre + [0.0, 0.0, 1.01 * radius], np.array([0.0, 0.0, -1.0])))
+        assert near is not None and (near.kind, near.title) == ("lime", f"Lime {lime}")
+    q = home(robot)
+    link = robot.links[2]
+    inside = robot.link_poses(q)[link.joint] @ [*np.asarray(link.vertices).mean(axis=0), 1.0]
+    ray = Ray.through(inside[:3] + [0.0, 2.0, 0.0], np.array([0.0, -1.0, 0.0]))
+    arm = named.under(ray, arm=(robot, q), shows=lambda part: part == "arm")
+    assert arm is not None and arm.kind == "arm" and any(f"link {link.name}." in arm.sentence for link in robot.links)
+
+    bare = Pointing(scene_of(stems=[[0.5, 0.0, 0.5]], leaves=[[0.7, 0.0, 0.5]]), reach_m=2.0)
+    along = np.array([1.0, 0.0, 0.0])
+    stem = bare.under(Ray.through(np.array([0.0, 0.0, 0.5]), along))
+    assert stem is not None and (stem.title, stem.sentence) == ("Stem point 0", "At 0.50 0.00 0.50 m. Never touched.")
+    leaf = bare.under(Ray.through(np.array([0.6, 0.0, 0.5]), along))
+    assert leaf is not None and leaf.title == "Leaf"
+
+
+@pytest.mark.parametrize(
+    "query", ["", "ray=", "ray=1,2,3", "ray=a,b,c,d,e,f", "ray=1,2,3,0,0,0", "ray=1,2,3,nan,0,1", "ray=1,2,3,4,5,6,7", "%ff"]
+)
+def test_no_ray_is_read_from_nonsense(query: str) -> None:
+    assert Ray.read(query) is None
 
 
 def test_what_is_in_the_way_can_be_drawn() -> None:

@@ -22,11 +22,22 @@ def finite_number(text: str) -> float:
     return value
 
 
+def _at_least_one(text: str) -> int:
+    """Parse a number of processes."""
+    try:
+        value = int(text)
+    except ValueError:
+        value = 0
+    if value < 1:
+        raise argparse.ArgumentTypeError(f"{text!r} is no number of processes, 1 or more")
+    return value
+
+
 def add_run_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare where results go, who runs the trials, and the seed."""
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for results, tables and figures")
     place = parser.add_mutually_exclusive_group()
-    place.add_argument("--jobs", type=int, metavar="N", help="processes (default: one for each processor)")
+    place.add_argument("--jobs", type=_at_least_one, metavar="N", help="processes (default: one for each processor)")
     place.add_argument("--scheduler", metavar="ADDRESS", help="Dask scheduler whose workers run the trials, for example tcp://host:8786")
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="seed of the whole experiment (default: %(default)s)")
     parser.add_argument("--resume", action="store_true", help="continue an earlier run in the same folder")

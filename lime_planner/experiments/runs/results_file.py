@@ -13,6 +13,7 @@ from typing import Any, Generic, TypeVar
 from lime_planner import __version__
 from lime_planner.core.atomic_files import write_json
 from lime_planner.core.errors import ParameterError, SceneError
+from lime_planner.core.validation import TextFileError, read_json
 from lime_planner.experiments.runs.parallel import run_trials
 
 Task = TypeVar("Task")
@@ -69,11 +70,9 @@ def load_results(path: Path, name: str) -> dict[str, Any]:
         SceneError: it cannot be read, or is not one.
     """
     try:
-        data = json.loads(path.read_text())
-    except OSError as error:
-        raise SceneError(f"cannot read {path}: {error.strerror}") from error
-    except ValueError as error:
-        raise SceneError(f"{path} is not JSON: {error}") from error
+        data = read_json(path)
+    except TextFileError as error:
+        raise SceneError(f"cannot read {path}: {error}") from None
     if not isinstance(data, dict) or data.get("experiment") != name:
         raise SceneError(f"{path} does not hold the experiment {name!r}")
     if records := _journalled(path):

@@ -18,9 +18,10 @@ from lime_planner.robot.ik import LENGTH_M, pose_error, solve_damped
 from lime_planner.robot.kinematics import forward_kinematics, tool_jacobian, tool_pose
 
 # What became of a configuration at a grasp, and of the stretch that leads there.
-FREE, CLOSE, BLOCKED, LIMITS, NO_ROOM, BLOCKED_ON_THE_WAY = 0, 1, 2, 3, 4, 5
+FREE, CLOSE, BLOCKED, LIMITS, NO_ROOM, BLOCKED_ON_THE_WAY, DEARER = 0, 1, 2, 3, 4, 5, 6
 
 MAX_BRANCHES = 16
+CLOSE_COST = 0.5  # of a stretch that comes closer to something hard than the margin [rad]
 _CONVERGED = 1e-8  # root of the sum of squared errors [rad, or LENGTH_M]
 _SAME_RAD = 0.01
 _TURN = 2.0 * math.pi
@@ -165,7 +166,7 @@ def solve_poses(
         first, last: which poses; those before `first` are done.
         parents: (P, K) poses from whose configurations to go on, -1 for none.
         starts: (S, n) random configurations from which the first `started` poses, and those whose parents have none, are tried as well.
-        started: see `starts`.
+        started: see `starts`. A pose that a third of its starts do not reach is given up.
         solutions: (P, MAX_BRANCHES, n) written, limits ignored; counts: (P,) written.
         memory: scratch.
     """
@@ -184,6 +185,8 @@ def solve_poses(
         if p < started or count == 0:
             share = starts.shape[0] if p < started else starts.shape[0] // 4
             for s in range(share):
+                if count == 0 and 3 * s >= share:  # a pose that can be reached is reached from most starts
+                    break
                 for i in range(n):
                     memory.middle[i] = starts[s, i]
                 if solve(chain, targets[p], memory.middle, 40, 1.0, memory):
@@ -196,6 +199,15 @@ def solve_from(chain: Any, targets: Any, solutions: Any, counts: Any, memory: An
     """Find one configuration for each pose (P, 3, 4), from the one in solutions[p, 0]; counts (P,) tells where there is one."""
     for p in range(targets.shape[0]):
         counts[p] = 1 if solve(chain, targets[p], solutions[p, 0], 20, 0.5, memory) else 0
+
+
+@kernel
+def _apart(q: Any, other: Any) -> float:
+    """Length of the straight way between two configurations [rad]."""
+    total = 0.0
+    for i in range(q.shape[0]):
+        total += (q[i] - other[i]) ** 2
+    return math.sqrt(total)
 
 
 @kernel
@@ -273,6 +285,8 @@ def stretch_back(
     upper: Any,
     nodes: Any,
     weight: float,
+    start: Any,
+    bound: float,
     memory: Any,
     figures: Any,
 ) -> Any:
@@ -287,12 +301,14 @@ def stretch_back(
         lower, upper: (n,) limits of the joints.
         nodes: (K + 1, n) written from 1 on.
         weight: leaf weight of J.
+        start: (n,) where the arm is.
+        bound: what the stretch and the shortest way from the start to where it begins may cost together.
         memory: scratch.
         figures: (3,) written: nodes that are good, an estimate of J along the stretch, leaf intensity at the grasp.
 
     Returns:
         FREE, CLOSE (somewhere closer than the margin), or why not: BLOCKED at the grasp, LIMITS, NO_ROOM for the arm to move straight,
-        BLOCKED_ON_THE_WAY.
+        BLOCKED_ON_THE_WAY, DEARER than the bound (whether it is free is not known then).
     """
     n = nodes.shape[1]
     steps = nodes.shape[0] - 1
@@ -300,6 +316,8 @@ def stretch_back(
     for i in range(n):
         if not lower[i] <= nodes[0, i] <= upper[i]:
             return LIMITS
+    if not _apart(nodes[0], start) < bound:
+        return DEARER
     before, near = _leaf_at(space, near_space, nodes[0])
     if before < 0.0:
         return BLOCKED
@@ -316,10 +334,9 @@ def stretch_back(
                 why = BLOCKED_ON_THE_WAY
         if why != FREE:
             return code if length_m * (k - 1) / steps >= least_m - 1e-9 else why
-        length = 0.0
-        for i in range(n):
-            length += (nodes[k, i] - nodes[k - 1, i]) ** 2
-        figures[1] += math.sqrt(length) * (1.0 + 0.5 * weight * (before + leaf))
+        figures[1] += _apart(nodes[k], nodes[k - 1]) * (1.0 + 0.5 * weight * (before + leaf))
+        if not figures[1] + _apart(nodes[k], start) < bound:  # both cannot get less from here on: the rest has a length
+            return DEARER
         figures[0] = k + 1.0
         before = leaf
         if near:
@@ -328,18 +345,30 @@ def stretch_back(
 
 
 @kernel
+def begin(solutions: Any, counts: Any, near: Any, lower: Any, upper: Any, nodes: Any, ways: Any) -> None:
+    """Put every configuration, unwrapped near the configuration `near` (n,), at the begin of its stretch.
+
+    Writes nodes (P, B, K + 1, n) at K = 0, and ways (P, B) from `near` where one is within limits.
+    """
+    for p in range(solutions.shape[0]):
+        for b in range(counts[p]):
+            for i in range(near.shape[0]):
+                nodes[p, b, 0, i] = solutions[p, b, i]
+            if unwrap(nodes[p, b, 0], near, lower, upper):
+                ways[p, b] = _apart(nodes[p, b, 0], near)
+
+
+@kernel
 def look_at(
     space: Any,
     near_space: Any,
     chain: Any,
     targets: Any,
-    first: int,
-    last: int,
-    solutions: Any,
-    counts: Any,
+    rows: Any,
     near: Any,
     length_m: float,
     least_m: float,
+    missing_cost: float,
     lower: Any,
     upper: Any,
     weight: float,
@@ -347,21 +376,55 @@ def look_at(
     nodes: Any,
     figures: Any,
     codes: Any,
+    totals: Any,
+    cheapest: Any,
 ) -> None:
-    """`stretch_back` for every configuration of the poses `first` to `last`, each unwrapped near the configuration `near` (n,).
+    """`stretch_back` for some configurations, as long as they may be among the cheapest.
 
-    Writes nodes (P, B, K + 1, n), figures (P, B, 3) and codes (P, B).
+    Args:
+        space, near_space, chain, length_m, least_m, lower, upper, weight, memory: see `stretch_back`.
+        targets: (P, 3, 4).
+        rows: (M, 2) pose and branch of each.
+        near: (n,) where the arm is.
+        missing_cost: for each step that a stretch is shorter than wanted.
+        nodes: (P, B, K + 1, n), begun; figures: (P, B, 3) and codes: (P, B) written.
+        totals: (P, B) written where free: what stretch and shortest way there cost.
+        cheapest: (C,) the least of all totals, ascending, inf where there are fewer; kept up to date. Its last one is the bound; where
+            it is empty there is none.
     """
-    for p in range(first, last):
-        for b in range(counts[p]):
-            for i in range(near.shape[0]):
-                nodes[p, b, 0, i] = solutions[p, b, i]
-            if not unwrap(nodes[p, b, 0], near, lower, upper):
-                codes[p, b] = LIMITS
-                continue
-            codes[p, b] = stretch_back(
-                space, near_space, chain, targets[p], length_m, least_m, lower, upper, nodes[p, b], weight, memory, figures[p, b]
-            )
+    last = cheapest.shape[0] - 1
+    for p, b in rows:
+        bound = cheapest[last] if last >= 0 else np.inf
+        code = stretch_back(
+            space,
+            near_space,
+            chain,
+            targets[p],
+            length_m,
+            least_m,
+            lower,
+            upper,
+            nodes[p, b],
+            weight,
+            near,
+            bound,
+            memory,
+            figures[p, b],
+        )
+        codes[p, b] = code
+        if code != FREE and code != CLOSE:
+            continue
+        count = int(figures[p, b, 0])
+        total = figures[p, b, 1] + missing_cost * (nodes.shape[2] - count) + _apart(nodes[p, b, count - 1], near)
+        if code == CLOSE:
+            total += CLOSE_COST
+        totals[p, b] = total
+        if last >= 0 and total < bound:
+            place = last
+            while place > 0 and cheapest[place - 1] > total:
+                cheapest[place] = cheapest[place - 1]
+                place -= 1
+            cheapest[place] = total
 
 
 @kernel

@@ -25,10 +25,12 @@ def practise_grasps(robot: Robot) -> None:
     kernels.solve_from(robot.chain, targets, solutions, counts, memory)
     nodes, figures = np.zeros((1, kernels.MAX_BRANCHES, 2, robot.n)), np.zeros((1, kernels.MAX_BRANCHES, 3))
     codes = np.full((1, kernels.MAX_BRANCHES), kernels.LIMITS)
-    lengths = (0.01, 0.0)
-    kernels.look_at(
-        space, close_space, robot.chain, targets, 0, 1, solutions, counts, q, *lengths, lower, upper, 1.0, memory, nodes, figures, codes
-    )
+    totals, ways, cheapest = np.full(codes.shape, np.inf), np.full(codes.shape, np.inf), np.full(4, np.inf)
+    kernels.begin(solutions, counts, q, lower, upper, nodes, ways)
+    lengths, limits = (0.01, 0.0), (lower, upper)
+    spaces = (space, close_space, robot.chain)
+    rows = np.zeros((1, 2), np.int64)
+    kernels.look_at(*spaces, targets, rows, q, *lengths, 1.0, *limits, 1.0, memory, nodes, figures, codes, totals, cheapest)
     one = np.zeros((2, robot.n))
-    kernels.stretch_back(space, close_space, robot.chain, targets[0], *lengths, lower, upper, one, 1.0, memory, figures[0, 0])
+    kernels.stretch_back(*spaces, targets[0], *lengths, *limits, one, 1.0, q, np.inf, memory, figures[0, 0])
     kernels.price(space, one, 1, 1.0, np.inf)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import collections
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from lime_planner.collision.exact import ExactChecker
 from lime_planner.core.status import Status
@@ -15,7 +16,6 @@ from lime_planner.pipeline.targets import Target
 
 _LOOKED_AT = 60  # blocked approaches whose obstacle is looked for
 _CELL_M = 0.03  # contacts in one such cube are with one thing
-_HAND_M = 0.3  # no point of the hand is farther from the tool frame
 
 
 def explain(obstacles: Obstacles, checker: ExactChecker, approaches: Approaches, target: Target) -> tuple[Status, str]:
@@ -47,8 +47,10 @@ def _commonest(obstacles: Obstacles, checker: ExactChecker, approaches: Approach
     names: collections.Counter[str] = collections.Counter()
     places: list[Array] = []
     hands = approaches.poses[approaches.outcomes == HAND_BLOCKED]
-    for T in hands[:: max(1, len(hands) // _LOOKED_AT)]:
-        place = _in_hand(obstacles, T)
+    hands = hands[:: max(1, len(hands) // _LOOKED_AT)]
+    hard = cKDTree(obstacles.hard)
+    for T in hands:
+        place = _in_hand(obstacles, hard, T)
         if place is not None:
             places.append(place)
     arms = approaches.blocked
@@ -80,18 +82,20 @@ def _what_is_at(obstacles: Obstacles, place: Array) -> str:
     return "stem or leaf (leaves are solid)" if obstacles.settings.leaf_policy == "solid" else "branch"
 
 
-def _in_hand(obstacles: Obstacles, T_base_tool: Array) -> Array | None:
+def _in_hand(obstacles: Obstacles, hard: cKDTree, T_base_tool: Array) -> Array | None:
     """Return the hard point (3,) that is deepest in the hand, its tool at a pose (4, 4); None where there is none."""
     from scipy.ndimage import map_coordinates
 
     shapes, b = obstacles.shapes, obstacles.shapes.gripper
-    points = obstacles.hard[np.linalg.norm(obstacles.hard - T_base_tool[:3, 3], axis=1) < _HAND_M].astype(np.float64)
+    T_base_joint = T_base_tool @ np.linalg.inv(np.vstack([obstacles.robot.chain.tool, [0.0, 0.0, 0.0, 1.0]]))
+    too_close_m = obstacles.world.stem_radius + obstacles.world.margin
+    middle = T_base_joint[:3, :3] @ shapes.bound[b, :3] + T_base_joint[:3, 3]
+    points = hard.data[hard.query_ball_point(middle, shapes.bound[b, 3] + too_close_m)]
     if not len(points):
         return None
-    T_base_joint = T_base_tool @ np.linalg.inv(np.vstack([obstacles.robot.chain.tool, [0.0, 0.0, 0.0, 1.0]]))
     local = (points - T_base_joint[:3, 3]) @ T_base_joint[:3, :3]
     size = shapes.size[b]
     grid = shapes.grid[shapes.offset[b] : shapes.offset[b] + int(size.prod())].reshape(size)
     depth = map_coordinates(grid, ((local - shapes.origin[b]) / shapes.spacing[b]).T, order=1, mode="constant", cval=1.0)
     deepest = int(depth.argmin())
-    return points[deepest] if depth[deepest] < obstacles.world.stem_radius + obstacles.world.margin else None
+    return points[deepest] if depth[deepest] < too_close_m else None

@@ -8,34 +8,43 @@ configurations where stretches begin as its goals, and what the stretches cost a
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import heapq
+import itertools
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
 from lime_planner.collision.fast import make_scratch, make_state
 from lime_planner.collision.hand import hand_clearances
-from lime_planner.core.types import Array, Bool, Int64
+from lime_planner.collision.touched_points import touched_anywhere
+from lime_planner.core.parameters import Settings
+from lime_planner.core.types import Array, Bool, Int32, Int64
 from lime_planner.pipeline.context import ask, never
-from lime_planner.pipeline.goals import ARM_BLOCKED, FREE, HAND_BLOCKED, MODEL_ERROR_M, NO_ROOM, OUT_OF_REACH, Approaches
+from lime_planner.pipeline.goals import ARM_BLOCKED, DEARER, FREE, HAND_BLOCKED, MODEL_ERROR_M, NO_ROOM, OUT_OF_REACH, Approaches
 from lime_planner.pipeline.grasps import kernels
 from lime_planner.pipeline.grasps.approaches import around, in_cone, nearest_earlier, spread
 from lime_planner.pipeline.obstacles import Obstacles
 from lime_planner.pipeline.targets import Target
 from lime_planner.robot.model import Robot
+from lime_planner.scene.voxels import thin
 
 STEP_M = 0.01  # of a stretch
 MISSING_COST = 1e4  # per metre that a stretch is shorter than wanted [rad/m]
-CLOSE_COST = 0.5  # of a stretch that comes closer to something hard than the margin [rad]
 
 _STATIONS = 4  # places of the hand on the shortest stretch that counts
-_FIRST_SHARE = 0.6  # of the approaches are spread evenly; the rest falls near the cheapest
-_ROUNDS = 2  # of such
-_PARENTS = 24  # cheapest configurations around which more are tried in the first of them; then half as many
+# Shares of the approaches: those that are spread evenly, then rounds of such that fall near the cheapest. The last ones are for fruit at
+# which even the cheapest touches leaves.
+_SHARES, _FREE_SHARES = (0.36, 0.12, 0.12, 0.2, 0.2), 3
+_PARENTS = 24  # cheapest configurations around which more are tried in the first of these rounds; then half as many
 _TURN_RAD = 0.25  # how far from them, in the first round; then half as far
+# The leaf area that the arm lies in at the grasp costs as much as so much leaf contact: touching one leaf for longer is better than five
+# at once, which J alone takes for alike.
+_AREA_RAD_PER_M2 = 30.0
+_AREA_CELL_M = 0.01  # a cell of this edge in which a leaf point is touched counts as its square
+_WEIGHED = 4  # times as many of the cheapest stretches as are wanted, of which the area is asked and which are certified; no other counts
 _STARTED, _STARTS = 4, 48  # approaches, and random starts for each, with which inverse kinematics begins
-_IN_ONE_GO = 24  # approaches between two looks at whether to stop
-_PRICED = 4  # times as many stretches as goals are wanted are certified
+_IN_ONE_GO = 24  # approaches, or configurations, between two looks at whether to stop
 _APART_RAD = 0.2  # between two goals
 _TURN = 2.0 * np.pi
 
@@ -47,7 +56,7 @@ class Grasps:
     Attributes:
         stretches: (G, K + 1, n) configurations from the grasp backwards; the first `counts` of each count [rad].
         counts: (G,) at least 1.
-        costs: (G,) J of the stretch with what is added for what it lacks.
+        costs: (G,) J of the stretch with what is added for what it lacks, and for the leaf area touched at the grasp.
         approach: (G,) which approach each belongs to.
         approaches: all that were tried.
     """
@@ -59,8 +68,16 @@ class Grasps:
     approaches: Approaches
 
 
-class _Trials:
+class Trials:
     """The approaches of one plan: solved, looked at, priced."""
+
+    @classmethod
+    def for_target(
+        cls, obstacles: Obstacles, target: Target, q_start: Array, rng: np.random.Generator, should_stop: Callable[[], bool]
+    ) -> Trials:
+        """Make room for trials of a target that leaves something to choose; see `find_grasps`."""
+        least_m = min(obstacles.settings.min_approach_distance_m, obstacles.settings.approach_distance_m)
+        return cls(obstacles, q_start, rng, least_m if target.kind != "pose" else 0.0, should_stop)
 
     def __init__(
         self, obstacles: Obstacles, q_start: Array, rng: np.random.Generator, least_m: float, should_stop: Callable[[], bool]
@@ -78,8 +95,17 @@ class _Trials:
         self.memory = kernels.make_memory(robot.n)
         self.poses, self.outcomes = np.zeros((0, 4, 4)), np.zeros(0, np.int64)
         self.stretches, self.counts = np.zeros((0, self.rows, robot.n)), np.zeros(0, np.int64)
-        self.estimates, self.approach = np.zeros(0), np.zeros(0, np.int64)
+        self.totals, self.approach = np.zeros(0), np.zeros(0, np.int64)  # costs of stretches and of the shortest ways to them
+        self.cheapest = np.zeros(0)  # totals of the stretches that can still count; empty: all of them can, however dear
+        self.area_costs = np.zeros(0)  # NaN where the area has not been asked for
+        apart = self.weight > 0.0 and settings.leaf_policy == "permeable" and settings.leaf_cost == "binary"
+        self.area_price = self.weight * _AREA_RAD_PER_M2 if apart else 0.0
+        self.leaf_cells: Int32 | None = None  # in which cell each leaf point is, once that is asked for
         self.blocked: list[Array] = []
+
+    def leave_dearer(self, wanted: int) -> None:
+        """From now on leave stretches that can no longer be among those that `ranked` looks at for `wanted`."""
+        self.cheapest = np.full(_WEIGHED * wanted, np.inf)
 
     def hand_free(self, poses: Array) -> Bool:
         """Tell which of the poses (P, 4, 4) leave the hand free on the shortest stretch that counts, (P,)."""
@@ -125,68 +151,134 @@ class _Trials:
                 kernels.solve_poses(chain, targets, at, last, parents, starts, _STARTED, solutions, counts, memory)
         nodes = np.zeros((count, kernels.MAX_BRANCHES, self.rows, self.robot.n))
         figures, codes = np.zeros((count, kernels.MAX_BRANCHES, 3)), np.full((count, kernels.MAX_BRANCHES), kernels.LIMITS)
-        for at in range(0, count, _IN_ONE_GO):
-            ask(self.should_stop)
-            self._look(targets, at, min(at + _IN_ONE_GO, count), solutions, counts, nodes, figures, codes)
+        totals = np.full((count, kernels.MAX_BRANCHES), np.inf)
+        self._look(targets, solutions, counts, nodes, figures, codes, totals)
         free = (codes == kernels.FREE) | (codes == kernels.CLOSE)
-        known = np.arange(kernels.MAX_BRANCHES) < counts[:, None]
-        for code, outcome in ((kernels.BLOCKED, ARM_BLOCKED), (kernels.NO_ROOM, NO_ROOM), (kernels.BLOCKED_ON_THE_WAY, ARM_BLOCKED)):
-            outcomes[tried[((codes == code) & known).any(axis=1)]] = outcome
-        outcomes[tried[(free & known).any(axis=1)]] = FREE
+        for code, outcome in (
+            (kernels.BLOCKED, ARM_BLOCKED),
+            (kernels.NO_ROOM, NO_ROOM),
+            (kernels.BLOCKED_ON_THE_WAY, ARM_BLOCKED),
+            (kernels.DEARER, DEARER),
+        ):
+            outcomes[tried[(codes == code).any(axis=1)]] = outcome
+        outcomes[tried[free.any(axis=1)]] = FREE
         for code, row in ((kernels.BLOCKED, 0), (kernels.BLOCKED_ON_THE_WAY, None)):
-            for p, b in np.argwhere((codes == code) & known)[:: max(1, count // 32)]:
+            for p, b in np.argwhere(codes == code)[:: max(1, count // 32)]:
                 self.blocked.append(nodes[p, b, int(figures[p, b, 0]) if row is None else row].copy())
-        p, b = np.nonzero(free & known)
-        good = figures[p, b, 0].astype(np.int64)
-        missing_m = self.length_m * (self.rows - good) / max(self.rows - 1, 1)
-        estimates = figures[p, b, 1] + MISSING_COST * missing_m + np.where(codes[p, b] == kernels.CLOSE, CLOSE_COST, 0.0)
+        p, b = np.nonzero(free)
         self.poses, self.outcomes = np.concatenate([self.poses, poses]), np.concatenate([self.outcomes, outcomes])
-        self.stretches, self.counts = np.concatenate([self.stretches, nodes[p, b]]), np.concatenate([self.counts, good])
-        self.estimates, self.approach = np.concatenate([self.estimates, estimates]), np.concatenate([self.approach, first + tried[p]])
+        self.stretches = np.concatenate([self.stretches, nodes[p, b]])
+        self.counts = np.concatenate([self.counts, figures[p, b, 0].astype(np.int64)])
+        self.totals = np.concatenate([self.totals, totals[p, b]])
+        self.approach = np.concatenate([self.approach, first + tried[p]])
+        known_area = (figures[p, b, 2] <= 0.0) | (self.area_price <= 0.0)
+        self.area_costs = np.concatenate([self.area_costs, np.where(known_area, 0.0, np.nan)])
 
-    def _look(
-        self, targets: Array, first: int, last: int, solutions: Array, counts: Int64, nodes: Array, figures: Array, codes: Int64
-    ) -> None:
-        kernels.look_at(
-            self.space,
-            self.close_space,
-            self.robot.chain,
-            targets,
-            first,
-            last,
-            solutions,
-            counts,
-            self.q_start,
-            self.length_m,
-            self.least_m,
-            self.lower,
-            self.upper,
-            self.weight,
-            self.memory,
-            nodes,
-            figures,
-            codes,
-        )
+    def _look(self, targets: Array, solutions: Array, counts: Int64, nodes: Array, figures: Array, codes: Int64, totals: Array) -> None:
+        """Look at configurations, those near the start first: then the bound that spares the others is low soon."""
+        ways = np.full(codes.shape, np.inf)
+        kernels.begin(solutions, counts, self.q_start, self.lower, self.upper, nodes, ways)
+        order = np.argsort(ways, axis=None, kind="stable")[: np.isfinite(ways).sum()]
+        rows = np.column_stack(np.unravel_index(order, ways.shape))
+        lengths, limits = (self.length_m, self.least_m, self.missing_cost(self.rows - 1)), (self.lower, self.upper)
+        for at in range(0, len(rows), _IN_ONE_GO):
+            ask(self.should_stop)
+            some = rows[at : at + _IN_ONE_GO]
+            kernels.look_at(
+                *(self.space, self.close_space, self.robot.chain, targets, some, self.q_start, *lengths, *limits, self.weight, self.memory),
+                *(nodes, figures, codes, totals, self.cheapest),
+            )
 
     def follow(self, target: Array, nodes: Array, figures: Array) -> int:
         """`kernels.stretch_back` for one configuration, nodes[0], with everything that this plan has for it."""
         spaces, limits = (self.space, self.close_space), (self.lower, self.upper)
         lengths = (self.length_m, self.least_m)
-        code = kernels.stretch_back(*spaces, self.robot.chain, target, *lengths, *limits, nodes, self.weight, self.memory, figures)
+        bounds = (self.q_start, np.inf)
+        code = kernels.stretch_back(*spaces, self.robot.chain, target, *lengths, *limits, nodes, self.weight, *bounds, self.memory, figures)
         return int(code)
 
-    def ranked(self) -> Int64:
-        """Return all free stretches by what they and the way to them cost at least."""
-        ways = np.linalg.norm(self.stretches[np.arange(len(self.counts)), self.counts - 1] - self.q_start, axis=1)
-        return np.argsort(self.estimates + ways, kind="stable")
+    def missing_cost(self, count: int) -> float:
+        """What is added for a stretch of `count` nodes that is shorter than wanted [rad]."""
+        return MISSING_COST * self.length_m * (self.rows - count) / max(self.rows - 1, 1)
+
+    def neighbour(self, pose: Array, q: Array, count: int, most_rad: float, bound: float) -> tuple[Array, float] | None:
+        """Take a grasp next to one whose configuration is known.
+
+        Args:
+            pose: (4, 4) T_base_tool of the grasp.
+            q: (n,) configuration at a grasp near it.
+            count: nodes that its stretch must have at least.
+            most_rad: how far a joint may be from q.
+            bound: what it may cost.
+
+        Returns:
+            The stretch (K, n), the grasp last, certified along every edge, and its price; None where it is not free, too short, in
+            another branch, or not cheaper than `bound`.
+        """
+        target = np.ascontiguousarray(pose[:3])
+        solutions, counts = np.zeros((1, kernels.MAX_BRANCHES, len(q))), np.zeros(1, np.int64)
+        solutions[0, 0] = q
+        kernels.solve_from(self.robot.chain, target[None], solutions, counts, self.memory)
+        if not counts[0] or np.abs(solutions[0, 0] - q).max() > most_rad:
+            return None
+        nodes, figures = np.zeros((self.rows, len(q))), np.zeros(3)
+        nodes[0] = solutions[0, 0]
+        code = self.follow(target, nodes, figures)
+        good = int(figures[0])
+        if code not in (kernels.FREE, kernels.CLOSE) or good < count:
+            return None
+        added = self.missing_cost(good)
+        if figures[2] > 0.0 and self.area_price > 0.0:
+            added += self.area_price * self._touched_m2(nodes[0])
+        space = self.space
+        if code == kernels.CLOSE:
+            space, added = self.close_space, added + kernels.CLOSE_COST
+        cost = kernels.price(space, nodes, good, self.weight, bound - added) + added
+        if not cost < bound:
+            return None
+        return np.ascontiguousarray(nodes[:good][::-1]), float(cost)
+
+    def ranked(self, wanted: int) -> Iterator[int]:
+        """Yield free stretches by what they, the shortest way to them and the leaf area at the grasp cost, cheapest first.
+
+        Of so many as can count for `wanted`; the area is counted of those only that may be next.
+        """
+        ask(self.should_stop)
+        first = np.argsort(self.totals, kind="stable")[: _WEIGHED * wanted]
+        known = (self.totals + np.nan_to_num(self.area_costs))[first]
+        heap = list(zip(known, range(len(first)), strict=True))
+        heapq.heapify(heap)
+        while heap:
+            cost, place = heapq.heappop(heap)
+            i = first[place]
+            if np.isnan(self.area_costs[i]):
+                self.area_costs[i] = self.area_price * self._touched_m2(self.stretches[i, 0])
+                heapq.heappush(heap, (cost + self.area_costs[i], place))
+            else:
+                yield int(i)
+
+    def _touched_m2(self, q: Array) -> float:
+        """Leaf area (one side) that the arm lies in at q (n,), by the cells that hold touched points [m²]."""
+        table = self.obstacles.world.fields.leaves
+        touched = touched_anywhere(self.robot, self.obstacles.shapes, q, table, self.obstacles.world.leaf_radius)
+        if self.leaf_cells is None:
+            self.leaf_cells = thin(table.points, _AREA_CELL_M)[1]
+        return len(np.unique(self.leaf_cells[touched])) * _AREA_CELL_M**2
+
+    def touches_leaves(self) -> bool:
+        """Tell whether even the cheapest stretch costs leaf contact."""
+        best = next(self.ranked(1), None)
+        if best is None:
+            return False
+        way = np.vstack([self.stretches[best, : self.counts[best]], self.q_start])
+        return bool(self.totals[best] > np.linalg.norm(np.diff(way, axis=0), axis=1).sum() + kernels.CLOSE_COST + 1e-6)
 
     def certified(self, wanted: int) -> Grasps:
         """Evaluate the most promising stretches along every edge until `wanted` are free that differ from each other."""
         chosen: list[int] = []
         costs: list[float] = []
-        missing = self.length_m * (self.rows - self.counts) / max(self.rows - 1, 1)
-        for looked, i in enumerate(self.ranked()):
-            if len(chosen) == wanted or looked >= _PRICED * wanted:
+        for looked, i in enumerate(self.ranked(wanted)):
+            if len(chosen) == wanted:
                 break
             if looked % _IN_ONE_GO == 0:
                 ask(self.should_stop)
@@ -196,10 +288,10 @@ class _Trials:
                 continue
             cost = kernels.price(self.space, self.stretches[i], count, self.weight, np.inf)
             if not np.isfinite(cost):
-                cost = kernels.price(self.close_space, self.stretches[i], count, self.weight, np.inf) + CLOSE_COST
+                cost = kernels.price(self.close_space, self.stretches[i], count, self.weight, np.inf) + kernels.CLOSE_COST
             if np.isfinite(cost):
                 chosen.append(int(i))
-                costs.append(float(cost + MISSING_COST * missing[i]))
+                costs.append(float(cost + self.missing_cost(count) + self.area_costs[i]))
         approaches = Approaches(self.poses, self.outcomes, np.array(self.blocked).reshape(-1, self.robot.n))
         return Grasps(self.stretches[chosen], self.counts[chosen], np.array(costs), self.approach[chosen], approaches)
 
@@ -217,7 +309,7 @@ def follow_back(obstacles: Obstacles, T_base_tool: Array, q_start: Array, config
         Stretches, each (K, n) towards the pose with its configuration last, K at least 1; and (G,) what they cost: J, and more for
         what is missing of the wanted length.
     """
-    trials = _Trials(obstacles, q_start, np.random.default_rng(0), 0.0, never)
+    trials = Trials(obstacles, q_start, np.random.default_rng(0), 0.0, never)
     target = np.ascontiguousarray(T_base_tool[:3])
     stretches, costs, figures = [], [], np.zeros(3)
     for q in configurations:
@@ -229,7 +321,7 @@ def follow_back(obstacles: Obstacles, T_base_tool: Array, q_start: Array, config
             cost = kernels.price(trials.close_space, nodes, count, trials.weight, np.inf)
             count -= 0 if np.isfinite(cost) else 1
         stretches.append(np.ascontiguousarray(nodes[:count][::-1]))
-        costs.append(cost + MISSING_COST * trials.length_m * (trials.rows - count) / max(trials.rows - 1, 1))
+        costs.append(cost + trials.missing_cost(count))
     return stretches, np.array(costs)
 
 
@@ -261,36 +353,38 @@ def find_grasps(
         Refusal: CANCELLED.
     """
     settings = obstacles.settings
-    least_m = min(settings.min_approach_distance_m, settings.approach_distance_m)
-    trials = _Trials(obstacles, q_start, rng, least_m if target.kind != "pose" else 0.0, should_stop)
-    if target.kind == "candidates":
+    trials = Trials.for_target(obstacles, target, q_start, rng, should_stop)
+    if target.kind == "candidates":  # each is looked at to the end: whoever names approaches wants to know which are free
         order = rng.permutation(len(target.poses))
         trials.add(target.poses[order])
         return trials.certified(wanted)
-    if target.kind == "fruit":
-        away = float(np.linalg.norm(target.centre))
-        axis = target.centre / away if away > 1e-9 else np.array([0.0, 0.0, 1.0])
-    else:
-        axis = target.poses[0, :3, 2]
-    first = max(1, int(_FIRST_SHARE * settings.max_grasps))
-    points = spread(first, rng)
+    trials.leave_dearer(max(wanted, _PARENTS))
+    axis, cone_rad = cone_of(target, settings)
+    points = spread(max(1, int(_SHARES[0] * settings.max_grasps)), rng)
     if target.freedom == "roll":
         points[:, :2] = 0.0
-    cone_rad = 0.0 if target.freedom == "roll" else settings.approach_cone_rad
     trials.add(_placed(in_cone(axis, cone_rad, points), target.centre))
     parents = _PARENTS
-    for round_ in range(_ROUNDS):
-        order = trials.ranked()[:parents]
-        if not len(order) or (target.freedom == "roll" and round_):
+    for number, share in enumerate(_SHARES[1:], start=1):
+        if number >= _FREE_SHARES and not trials.touches_leaves():
             break
-        share = (settings.max_grasps - first) // _ROUNDS
-        chosen = np.resize(order, share)
-        if not share:
+        best, count = list(itertools.islice(trials.ranked(parents), parents)), int(share * settings.max_grasps)
+        if not best or not count:
             break
-        turns = around(trials.poses[trials.approach[chosen], :3, :3], axis, cone_rad, _TURN_RAD / 2.0**round_, rng)
+        chosen = np.resize(best, count)
+        turns = around(trials.poses[trials.approach[chosen], :3, :3], axis, cone_rad, _TURN_RAD / 2.0 ** (number - 1), rng)
         trials.add(_placed(turns, target.centre), trials.stretches[chosen, 0])
         parents = max(1, parents // 2)
     return trials.certified(wanted)
+
+
+def cone_of(target: Target, settings: Settings) -> tuple[Array, float]:
+    """Return the cone of directions from which a fruit or a pose with freedom may be approached: its axis (3,) and half its angle [rad]."""
+    cone_rad = 0.0 if target.freedom == "roll" else settings.approach_cone_rad
+    if target.kind != "fruit":
+        return target.poses[0, :3, 2], cone_rad
+    away = float(np.linalg.norm(target.centre))
+    return (target.centre / away if away > 1e-9 else np.array([0.0, 0.0, 1.0])), cone_rad
 
 
 def _placed(rotations: Array, centre: Array) -> Array:

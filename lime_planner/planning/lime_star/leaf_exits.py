@@ -42,7 +42,9 @@ def new_exits(count: int, n: int, step: float) -> LeafExits:
 
 
 @kernel
-def improve(space: Any, exits: Any, g: int, origin: Any, trials: int, weight: float, least: float, most: float, random: Any) -> bool:
+def improve(
+    space: Any, exits: Any, g: int, origin: Any, trials: int, weight: float, bound: float, least: float, most: float, random: Any
+) -> bool:
     """Look for a cheaper way out.
 
     Args:
@@ -52,6 +54,7 @@ def improve(space: Any, exits: Any, g: int, origin: Any, trials: int, weight: fl
         origin: (n,) its configuration.
         trials: ends to try.
         weight: leaf weight of J.
+        bound: ways out that cost more are of no use.
         least, most: shortest and longest way out that is drawn without regard to the best [unit of the space].
         random: generator state.
 
@@ -77,8 +80,9 @@ def improve(space: Any, exits: Any, g: int, origin: Any, trials: int, weight: fl
         clamp(space, q)
         good = evaluate(space, q) == 0.0
         if good:
-            cost = edge(space, origin, q, weight, exits.cost[g])
-            good = cost < exits.cost[g]
+            limit = min(exits.cost[g], bound)
+            cost = edge(space, origin, q, weight, limit)
+            good = cost < limit
             if good:
                 exits.cost[g] = cost
                 for k in range(n):

@@ -45,6 +45,8 @@ __all__ = ["LimeOptions", "LimeOutcome", "plan_lime", "warm_up"]
 _UNIFORM, _INFORMED, _AT_GOALS = 0.6, 0.3, 0.08
 _DETOURS = 3  # rounds between two of them
 _LEAST_TRIALS = 5  # of polishing, for each track in each round
+_REACHED_FIRST = 6  # goals that are reached for before the roadmap begins; restarts come to the others
+_POLISHED_FIRST = 40  # trials of the best path before the first round
 _REDRAWN = 30  # times a sample that cannot be part of a better path is drawn again
 
 
@@ -245,14 +247,20 @@ def _first_paths(run: Run) -> None:
     """Find any path, then the ways out of the leaves and paths over them, then paths to the goals that are still worth it."""
     waiting = list(range(len(run.goals)))
     while waiting and not math.isfinite(run.best_cost) and not run.over():
-        run.reach(run.goals[waiting.pop(0)], run.left(run.options.connect_samples))
+        run.reach(run.goals[waiting.pop(0)], run.left(run.options.connect_samples), _LEAST_TRIALS)
     run.look_for_ways_out()
     run.use_ways_out()
-    for g in waiting:
-        if run.over():
-            return
-        if run.least_cost(g) < run.best_cost:
+    for g in sorted(waiting, key=run.least_cost)[:_REACHED_FIRST]:
+        if run.over() or not run.least_cost(g) < run.best_cost:
+            break
+        if run.goal_leaf[g] > 0.0:
             run.reach(run.goals[g], run.left(run.options.connect_samples))
+        else:
+            run.join(g)
+    # Before the roadmap is searched: a search takes the longer the more the best path costs.
+    best = int(np.argmin(run.tracks.cost))
+    if math.isfinite(run.tracks.cost[best]) and not run.over():
+        run.polish(best, _POLISHED_FIRST)
 
 
 def _round(run: Run, detours: Detours, restarts: Restarts) -> None:

@@ -22,6 +22,8 @@ from lime_planner.planning.space import line, one
 _SLICE_S = 0.004
 _PROMISING = 0.95  # share of the best cost below which a way out that was not reached is tried again
 _EDGES_IN_ONE_GO = 10  # an edge among leaves takes a millisecond or two at worst, and a stop is heard in between
+_CHEAP = 4.0  # times its length that a straight line may cost before others are tried
+_POOR = 3.0  # times the cheapest way out's cost that those of other goals may cost; ends that cost more are not looked at further
 _JOINED_FIRST = 6
 _LONGEST = 16  # such tries take at most so many times the first one's samples
 _FIRST_TRIALS = 20  # ways out tried for each goal before the worse half is left aside; then twice as many for the others
@@ -134,13 +136,25 @@ class Run:
             self.history.append((self.elapsed(), self.iterations, self.best_cost))
 
     def straight_lines(self) -> None:
-        """Try the straight line to each goal, with its terminal cost, until a limit is reached."""
-        for goal, terminal in zip(self.goals, self.terminal, strict=True):
-            self.path[0], self.path[1] = self.start, goal
-            if np.isfinite(line(self.space, self.start, goal, self.options.weight, self.best_cost - terminal)):
+        """Try the straight line to each goal, the nearest first: those that hardly touch leaves, or else the first that touches no stem.
+
+        To measure how much a line touches takes milliseconds where it is much, and polishing comes to the same from any of them.
+        """
+        lengths = np.linalg.norm(self.goals - self.start, axis=1)
+        order = np.argsort(lengths + self.terminal, kind="stable")
+        for g in order:
+            bound = min(_CHEAP * float(lengths[g]), self.best_cost - float(self.terminal[g]))
+            self.path[0], self.path[1] = self.start, self.goals[g]
+            if line(self.space, self.start, self.goals[g], self.options.weight, bound) < bound:
                 self.adopt(2)
             if self.over():
                 return
+        for g in order:
+            if math.isfinite(self.best_cost) or self.over():
+                return
+            self.path[0], self.path[1] = self.start, self.goals[g]
+            if np.isfinite(line(self.leafless, self.start, self.goals[g], 0.0, math.inf)):
+                self.adopt(2)
 
     def adopt(self, count: int, *, trials: int = 0, instead: bool = False) -> int:
         """Make the path in `self.path` a track, after some polishing trials; the track, or -1 where it is not worth it.
@@ -211,12 +225,12 @@ class Run:
 
     # --- trees ----------------------------------------------------------------------------------------------------------------
 
-    def reach(self, goal: Array, samples: int) -> bool:
+    def reach(self, goal: Array, samples: int, trials: int = _FAIR) -> bool:
         """Try to reach a goal from the start by two trees that leave leaves out of account; polish what comes out a little."""
         count = self.connect(self.leafless, self.start, goal, samples, solid=False)
         if not count:
             return False
-        self.adopt(count, trials=_FAIR)
+        self.adopt(count, trials=trials)
         return True
 
     def connect(self, space: Any, root: Array, goal: Array, samples: int, *, solid: bool, bound: float = math.inf) -> int:
@@ -262,7 +276,8 @@ class Run:
             for g in alive:
                 if self.over():
                     return
-                self._improve(int(g), trials)
+                bound = _POOR * float((self.exits.cost[:-1] + self.terminal).min()) - float(self.terminal[g])
+                self._improve(int(g), trials, bound)
             costs = self.exits.cost[alive] + self.terminal[alive]
             alive = alive[np.argsort(costs, kind="stable")][: max(1, len(alive) // 2)]
             trials *= 2
@@ -271,15 +286,15 @@ class Run:
                 alike = np.flatnonzero(self.twin == alive[0])
                 best = int(alike[np.argmin([self.least_cost(int(g)) for g in alike])])
                 if self.least_cost(best) < self.best_cost and not self.over():
-                    self._join(best)
+                    self.join(best)
 
-    def _improve(self, g: int, trials: int) -> bool:
-        """Try more ways out of one configuration, in slices: a stop is heard in between."""
+    def _improve(self, g: int, trials: int, bound: float = math.inf) -> bool:
+        """Try more ways out of one configuration, cheaper than a bound, in slices: a stop is heard in between."""
         o, better = self.options, False
         while trials > 0 and not self.over():
             share = self.left(min(trials, _TRIALS_IN_ONE_GO))
             better |= leaf_exits.improve(
-                self.space, self.exits, g, self.origin(g), share, o.weight, 2.0 * self.least, self.most / 2.0, self.random
+                self.space, self.exits, g, self.origin(g), share, o.weight, bound, 2.0 * self.least, self.most / 2.0, self.random
             )
             self.iterations += share
             trials -= share
@@ -315,7 +330,7 @@ class Run:
             if not costs[g] < self.best_cost or self.over():
                 return
             if self.start_leaf > 0.0 or self.goal_leaf[g] > 0.0:
-                self._join(int(g))
+                self.join(int(g))
 
     def improve_ways_out(self, goals: int, trials: int) -> None:
         """Go on with the ways out of the cheapest goals, and use what was found."""
@@ -329,15 +344,15 @@ class Run:
                 continue
             looked.add(int(self.twin[g]))
             if self.goal_leaf[g] > 0.0 and self._improve(int(g), trials) and self.least_cost(int(g)) < self.best_cost:
-                self._join(int(g))
+                self.join(int(g))
                 joined = True
         # A way out that promises much and was not reached yet is tried again, a little longer each time.
         promise = np.where(self.goal_leaf > 0.0, costs * (1.0 + 0.1 * self.joins), math.inf)
         g = int(np.argmin(promise))
         if not joined and promise[g] < _PROMISING * self.best_cost and not self.over():
-            self._join(g)
+            self.join(g)
 
-    def _join(self, g: int) -> None:
+    def join(self, g: int) -> None:
         """Make a path over the ways out of the start and of goal g: straight, from the best path, or by two trees."""
         (root, _), (end, cost) = self.out(len(self.goals)), self.out(g)
         if not (math.isfinite(cost) and np.isfinite(self.out(len(self.goals))[1])):
@@ -349,7 +364,8 @@ class Run:
         samples = self.options.connect_samples * min(again + 1, _LONGEST) // 2
         count = self._from_best_path(end, cost + float(self.terminal[g]))
         for solid in (True, False)[: 2 - min(again, 1)] if not count else ():
-            count = self.connect(self.space if solid else self.leafless, root, end, samples, solid=solid)
+            space = self.space if solid and self.options.weight > 0.0 else self.leafless  # at no weight leaves are air
+            count = self.connect(space, root, end, samples, solid=solid)
             if count:
                 count = self.prepend_start(count)
             if count or self.over():

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from lime_planner.core.errors import ProblemError, SceneError
+from lime_planner.core.validation import TextFileError, read_json
 from lime_planner.planning.spaces.plane_space import IMPERMEABLE, PERMEABLE, PlaneSpace, is_inside
 
 __all__ = ["IMPERMEABLE", "PERMEABLE", "PlaneSpace", "PlaneWorld", "check_ends", "load_world", "random_wall", "wall_g", "world_from_dict"]
@@ -169,11 +169,9 @@ def load_world(path: str | Path) -> PlaneWorld:
     """
     path = Path(path)
     try:
-        data = json.loads(path.read_text())
-    except OSError as error:
-        raise SceneError(f"cannot read the wall file {path}: {error.strerror}") from error
-    except ValueError as error:
-        raise SceneError(f"{path} is not JSON: {error}") from error
+        data = read_json(path)
+    except TextFileError as error:
+        raise SceneError(f"cannot read the wall file {path}: {error}") from None
     try:
         return world_from_dict(data, name=path.stem)
     except SceneError as error:

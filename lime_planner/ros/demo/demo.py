@@ -13,7 +13,6 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from lime_planner.core.atomic_files import make_folder
 from lime_planner.core.errors import ParameterError
 from lime_planner.core.parameters import PARAMETERS, parse_assignment, settings_from, validate
 from lime_planner.core.status import Status
@@ -32,6 +31,7 @@ if TYPE_CHECKING:
 
 DEFAULT_SEED = 15
 DEFAULT_LOOKS = 2  #: at a generated plant
+_PICTURES_HZ = 2.0  # of each camera
 _READY_TIMEOUT_S = 600.0  # compiling everything for the first time takes its while on a slow machine
 _REPEAT_S = 20.0  # no longer silence than this
 _TARGETS_TRIED = 80
@@ -98,6 +98,8 @@ def run(args: argparse.Namespace) -> int:
     settings = settings_from(planning)
     if settings.robot == "topic":
         raise ParameterError("robot: the demo needs a built-in model or a URDF file")
+    if args.looks is not None:
+        validate("max_looks", args.looks)
     if importlib.util.find_spec("rclpy") is None:
         raise ModuleNotFoundError("the demo needs ROS 2", name="rclpy")
     from lime_planner.ros.model_loader import build
@@ -105,14 +107,16 @@ def run(args: argparse.Namespace) -> int:
     clock.say("reading the scene" if args.scene else "growing a lime plant")
     scene = scene_of(args)
     try:
-        make_folder(args.out)
+        if not args.out.is_dir():
+            clock.say(f"making the folder {args.out}")
+            args.out.mkdir(parents=True)
     except OSError as error:
         raise ParameterError(f"--out {args.out}: cannot be made ({error.strerror or error})") from error
     corner = Corner.own()
     arm = {"robot": settings.robot, "controller": args.controller}
     looks = (0 if args.scene else DEFAULT_LOOKS) if args.looks is None else args.looks
-    validate("max_looks", looks)
-    seen = {"camera": "all", "labelled": True, "robot": settings.robot} if looks else {}
+    # Drawing pictures at the cameras' usual rate would keep one processor busy, of perhaps two that plan.
+    seen = {"camera": "all", "labelled": True, "robot": settings.robot, "rate_hz": _PICTURES_HZ} if looks else {}
     with quick_end(), Processes(corner, args.out / "logs") as nodes:
         clock.say(f"starting planner_node and mock_arm_node in ROS domain {corner.domain}, namespace {corner.namespace}")
         looking = _looking(looks, scene, settings) if looks else {}
@@ -261,12 +265,14 @@ def _drive(
 
 def _wait_until_ready(client: DemoClient, check: Callable[[], None], clock: Clock) -> None:
     """Follow the planner's loading and compiling; it says in its health message how far it is."""
+    from lime_planner.core.kernel_cache import all_compiled
+
     began, said, due = time.monotonic(), "", 0.0
     while client.engine != "ready":
         state, waited_s = client.engine, time.monotonic() - began
         if state and (state != said or waited_s > due):
-            first = " (minutes the first time ever, a second or two later)" if "compil" in state else ""
-            clock.say(f"the planner is {'still ' if state == said else ''}{state}{first if state != said else ''}")
+            doing = "loading its compiled functions" if "compil" in state and all_compiled() else state
+            clock.say(f"the planner is {'still ' if state == said else ''}{doing}")
             said, due = state, waited_s + _REPEAT_S
         if "cannot be loaded" in said or "failed" in said:
             raise DemoError(said, Status.BAD_INPUT)

@@ -13,7 +13,8 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from lime_planner.core.geometry import matrix_to_pose, pose_to_matrix
 from lime_planner.core.types import Array, Int64
-from lime_planner.pipeline.goals import ARM_BLOCKED, FREE, HAND_BLOCKED, NO_ROOM, OUT_OF_REACH
+from lime_planner.output.approach_lines import approach_lines
+from lime_planner.pipeline.goals import ARM_BLOCKED, DEARER, FREE, HAND_BLOCKED, NO_ROOM, OUT_OF_REACH, OUTCOMES
 from lime_planner.pipeline.plan_record import PlanRecord
 from lime_planner.ros.convert import to_pose
 
@@ -27,16 +28,16 @@ _FREE = (0.10, 0.45, 0.85, 1.0)
 _TOUCHING = (0.90, 0.25, 0.10, 1.0)
 
 
-#: What became of an approach: name and colour of its line.
-_OUTCOMES = {
-    FREE: ("free", (0.15, 0.65, 0.30, 0.9)),
-    HAND_BLOCKED: ("hand_blocked", (0.85, 0.20, 0.10, 0.5)),
-    ARM_BLOCKED: ("arm_blocked", (0.95, 0.55, 0.10, 0.6)),
-    NO_ROOM: ("no_room", (0.55, 0.35, 0.75, 0.6)),
-    OUT_OF_REACH: ("out_of_reach", (0.5, 0.5, 0.5, 0.4)),
+#: Colour of the line of an approach, by what became of it; fainter the less it may matter.
+_OUTCOME_COLOURS = {
+    FREE: (0.15, 0.65, 0.30, 0.9),
+    DEARER: (0.62, 0.80, 0.55, 0.6),
+    HAND_BLOCKED: (0.85, 0.20, 0.10, 0.5),
+    ARM_BLOCKED: (0.95, 0.55, 0.10, 0.6),
+    NO_ROOM: (0.55, 0.35, 0.75, 0.6),
+    OUT_OF_REACH: (0.5, 0.5, 0.5, 0.4),
 }
 _APPROACHES = 600  # lines at most
-_GAP_M, _LINE_M = 0.05, 0.05  # how far from the target they end, and how long they are
 _GOAL_ARM = (0.55, 0.60, 0.70, 0.45)
 _UNSEEN = (0.35, 0.30, 0.55, 0.35)
 _TREE = (0.5, 0.5, 0.5, 0.4)
@@ -131,14 +132,12 @@ class _Picture:
         if not len(poses):
             return
         step = -(-len(poses) // _APPROACHES)
-        matrices = np.array([pose_to_matrix(pose) for pose in poses[::step]])
-        tips = matrices[:, :3, 3] - _GAP_M * matrices[:, :3, 2]
-        tails = tips - _LINE_M * matrices[:, :3, 2]
-        for outcome, (name, rgba) in _OUTCOMES.items():
+        lines = approach_lines(poses[::step])
+        for outcome, rgba in _OUTCOME_COLOURS.items():
             chosen = outcomes[::step] == outcome
             if chosen.any():
-                line = self._marker(f"approaches_{name}", Marker.LINE_LIST, (0.0015, 0.0, 0.0), rgba)
-                line.points = _points(np.stack([tails[chosen], tips[chosen]], axis=1).reshape(-1, 3))
+                marker = self._marker(f"approaches_{OUTCOMES[outcome]}", Marker.LINE_LIST, (0.0015, 0.0, 0.0), rgba)
+                marker.points = _points(lines[chosen].reshape(-1, 3))
 
     def boxes(self, boxes: tuple[float, ...]) -> None:
         """Add keep-out boxes: min x y z, max x y z each."""

@@ -24,8 +24,8 @@ from lime_planner.ros.inputs.latest import Inputs, Sample, Target, input_of
 from lime_planner.ros.inputs.placement import Placements
 from lime_planner.ros.inputs.view_memory import ViewMemory, Waiting, taken_s
 from lime_planner.ros.parameters import Snapshot
-from lime_planner.scene.from_clouds import CLOUDS, ArmFilter, Labels, belonging_together, scene_of_cloud, without_arm
-from lime_planner.scene.scene import Scene, merged
+from lime_planner.scene.from_clouds import CLOUDS, ArmFilter, Labels, Origins, belonging_together, one_picture, scene_of_cloud, without_arm
+from lime_planner.scene.scene import Scene
 
 #: Scenes of clouds of one input that are kept: the newest one, and those that the watch over a motion looked at.
 _PARTS_KEPT = 6
@@ -39,6 +39,7 @@ class _Key:
 
     number: int
     labels: Labels
+    origins: Origins
     padding_m: float
     arm: tuple[float, ...] | None
     moved: bytes | None
@@ -167,7 +168,7 @@ class SceneSource:
         for picture in _pictures(waiting):
             try:
                 parts = [self._part(cloud.name, cloud.sample, snapshot, should_stop) for cloud in picture]
-                scene = parts[0] if len(parts) == 1 else merged(parts, self._planning_frame, one_picture=True)
+                scene = one_picture(parts, self._planning_frame)
                 if scene.viewpoints is not None:
                     self._views.add(scene, picture[-1], self._moved_since(picture[-1], node, should_stop))
             except Refusal as refusal:
@@ -244,7 +245,7 @@ class SceneSource:
             or len(self._merged[0]) != len(parts)
             or any(a is not b for a, b in zip(self._merged[0], parts, strict=True))
         ):
-            self._merged = (parts, merged(parts, self._planning_frame, one_picture=True))
+            self._merged = (parts, one_picture(parts, self._planning_frame))
         return self._merged[1]
 
     def _samples(self, node: NodeSettings) -> dict[str, Sample]:
@@ -269,6 +270,7 @@ class SceneSource:
         """Return one cloud's scene: the same object again as long as cloud and settings are the same."""
         node = snapshot.node
         labels = Labels(node.label_field, node.leaf_labels, node.stem_labels, node.fruit_labels, node.ignored_labels, node.class_costs)
+        origins = Origins(node.viewpoints, node.fixed_frame)
         T_planning_data: Array | None = None
         T_now_then: Array | None = None
         q = self._inputs.arm_at_clouds.at(name, sample.number)  # may be known better than at the last look
@@ -283,14 +285,14 @@ class SceneSource:
                     )
                 T_planning_data = carried(q)
         moved = None if T_now_then is None else T_now_then.tobytes()
-        key = _Key(sample.number, labels, snapshot.plan.self_filter_padding_m, None if q is None else tuple(q), moved)
+        key = _Key(sample.number, labels, origins, snapshot.plan.self_filter_padding_m, None if q is None else tuple(q), moved)
         kept = self._parts.setdefault(name, OrderedDict())
         known = kept.get(sample.number)
         if known is not None and known[0] == key:
             return known[1]
         try:
             frame, between = self._planning_frame, lambda: _ask(should_stop)
-            scene = scene_of_cloud(sample.msg, name, labels, frame, lambda _: T_planning_data, between=between)
+            scene = scene_of_cloud(sample.msg, name, labels, frame, lambda _: T_planning_data, origins=origins, between=between)
             part = without_arm(scene, self._arm_filter, q, key.padding_m, T_now_then)
         except SceneError as error:
             self._inputs.slots[name].reject(sample, str(error))

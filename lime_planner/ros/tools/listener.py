@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
@@ -32,7 +33,15 @@ _CHECK_PERIOD_S = 0.2
 
 
 class Listener:
-    """A node that only listens; callbacks run in a thread of its own. A context manager."""
+    """A node that only listens; callbacks run in a thread of its own. A context manager.
+
+    Attributes:
+        inputs: what has arrived.
+        frames: where frames are.
+        topics: full names of the inputs' topics.
+        joint_state: the newest message.
+        health: what the planner last said in `/diagnostics`.
+    """
 
     def __init__(
         self,
@@ -66,6 +75,8 @@ class Listener:
         if joint_names:
             self.inputs.set_joints(tuple(joint_names))
         self.frames: Frames = make_frames(self.node, snapshot.node.static_transforms)
+        self._on_arrival: Callable[[str], None] = lambda _name: None
+        self._arrivals = threading.Lock()
         self.joint_state: JointState | None = None
         self.health: dict[str, str] = {}
         self._subscriptions = [
@@ -97,6 +108,18 @@ class Listener:
         """Return the full names of the planner nodes in sight."""
         return sorted(f"{space.rstrip('/')}/{name}" for name, space in self.node.get_node_names_and_namespaces() if name == _PLANNER)
 
+    def tell_arrivals(self, on_arrival: Callable[[str], None]) -> None:
+        """Have a function called with the name of each input that comes, a cloud's or a target's; at once for what has come already.
+
+        Args:
+            on_arrival: called in the thread of the callbacks from then on.
+        """
+        with self._arrivals:
+            self._on_arrival = on_arrival
+            for name in (*CLOUDS, *TARGETS):
+                if self.inputs.slots[name].newest is not None:
+                    on_arrival(name)
+
     def wait(self, condition: Callable[[], bool], timeout_s: float, *, poll_s: float = 0.01) -> bool:
         """Wait until a condition holds, looked at every `poll_s`; False if it does not in time."""
         deadline = time.monotonic() + timeout_s
@@ -116,9 +139,15 @@ class Listener:
 
     def _on_cloud(self, name: str, msg: PointCloud2) -> None:
         self.inputs.on_cloud(name, msg)
+        self._arrive(name)
 
     def _on_target(self, msg: TargetMessage) -> None:
-        self.inputs.on_target(msg)
+        if self.inputs.on_target(msg):
+            self._arrive(self.inputs.newest_target)
+
+    def _arrive(self, name: str) -> None:
+        with self._arrivals:
+            self._on_arrival(name)
 
     def _on_joint_state(self, msg: JointState) -> None:
         self.joint_state = msg

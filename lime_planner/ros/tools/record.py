@@ -22,6 +22,7 @@ from lime_planner.scene.from_clouds import CLOUDS
 from lime_planner.scene.scene import Scene
 
 _POLL_S = 0.1
+_MORE_CAMERAS_S = 1.0  # how long to go on when all is there: cameras take turns on one topic
 
 
 @dataclass(frozen=True)
@@ -29,7 +30,7 @@ class Recorded:
     """What was heard.
 
     Attributes:
-        scene: clouds as the planner uses them, without the arm; with the target where there was one.
+        scene: clouds as the planner uses them, those of several cameras together, without the arm; with the target where there was one.
         start: the arm's configuration; None where it was not heard.
         heard: one sentence for each input that was used.
         missing: one sentence for each that was not.
@@ -61,12 +62,16 @@ def record(listener: Listener, snapshot: Snapshot, robot: Robot, *, wait_s: floa
         say("listening" if not waiting else f"waiting for {' and '.join(waiting)}")
         return not waiting
 
-    listener.wait(complete, wait_s, poll_s=_POLL_S)
     inputs, node = listener.inputs, snapshot.node
-    heard: list[str] = []
-    missing: list[str] = []
     source = SceneSource(inputs, listener.frames, robot.planning_frame, make_arm_filter(robot), fixed_frame=node.fixed_frame)
     source.camera = ArmCamera(robot, node.camera_frame, listener.frames) if node.camera_frame else None
+    source.memory_s = node.view_memory_s
+    listener.tell_arrivals(source.arrived)
+    if listener.wait(complete, wait_s, poll_s=_POLL_S) and node.fuse_views:
+        say("listening for other cameras")
+        listener.wait(lambda: False, _MORE_CAMERAS_S)
+    heard: list[str] = []
+    missing: list[str] = []
     try:
         scene = source.scene(snapshot, lambda: False)
     except Refusal as refusal:

@@ -81,6 +81,10 @@ class PlantOptions:
             small, large = getattr(self, name)
             if not 0.005 <= small <= large <= 0.5:
                 raise ParameterError(f"{name}: {small} to {large} is no range within 0.005 to 0.5")
+        for name in ("position_m", "robot_position_m"):
+            value = getattr(self, name)
+            if not all(abs(v) <= 100.0 for v in value):
+                raise ParameterError(f"{name}: {' '.join(f'{v:g}' for v in value)} is outside -100 to 100")
         if self.height_m - self.trunk_m < 0.1:
             raise ParameterError(f"trunk_m: {self.trunk_m} leaves less than 0.1 m of canopy under height_m {self.height_m}")
 

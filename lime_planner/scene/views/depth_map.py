@@ -22,6 +22,7 @@ from lime_planner.core.types import Array, Float32
 from lime_planner.scene.voxels import frozen
 
 _SMALLEST_CELLS, _MOST_CELLS = 32, 768  # along an edge of a face: 2.8° and 0.12° at its middle
+_MOST_OF_NEAREST = 1024  # the same of a map of nearest hits
 _HITS_AROUND_HOLE = 4  # of the eight cells around a cell without a hit; fewer make a gap in the plant
 _DENSE = 3.0  # hits for each cell that has any: then an empty cell is a gap, whatever is beside it
 _OUTLINE_DIRECTIONS = 32  # of the polygon that is drawn around a picture
@@ -87,6 +88,16 @@ def _draw(points: Any, origin: Any, cells: int) -> Any:
             continue
         face, row, column, distance = cell_of(x, y, z, cells)
         if distance > depths[face, row, column]:
+            depths[face, row, column] = distance
+    return depths
+
+
+@kernel
+def _draw_nearest(points: Any, origin: Any, cells: int) -> Any:
+    depths = np.zeros((6, cells, cells), np.float32)
+    for i in range(points.shape[0]):
+        face, row, column, distance = cell_of(points[i, 0] - origin[0], points[i, 1] - origin[1], points[i, 2] - origin[2], cells)
+        if distance > 0.0 and (depths[face, row, column] == 0.0 or distance < depths[face, row, column]):
             depths[face, row, column] = distance
     return depths
 
@@ -167,3 +178,21 @@ def make_depth_map(hits: npt.ArrayLike, origin: npt.ArrayLike, cell_m: float) ->
     drawn = _draw(points, place, cells)
     dense = len(points) >= _DENSE * np.count_nonzero(drawn)
     return DepthMap(place, _complete(drawn, outline, _HITS_AROUND_HOLE - 1 if dense else 0))
+
+
+def nearest_hits(hits: npt.NDArray[np.floating], origin: Array, cell_m: float) -> Float32:
+    """Return the distance of the nearest hit in each cell of the cube around an origin.
+
+    Args:
+        hits: (N, 3), N > 0 [m].
+        origin: (3,) of the sensor [m].
+        cell_m: size of a cell at the middle distance of the hits [m]; see `make_depth_map`.
+
+    Returns:
+        (6, M, M) [m], 0 where there is none.
+    """
+    some = hits[:: max(1, len(hits) // _OUTLINE_POINTS)] - origin.astype(hits.dtype)
+    middle_m = float(np.median(np.sqrt(np.einsum("ij,ij->i", some, some))))
+    cells = int(np.clip(np.ceil(2.0 * middle_m / cell_m), _SMALLEST_CELLS, _MOST_OF_NEAREST))
+    depths: Float32 = _draw_nearest(frozen(hits), origin, cells)
+    return depths

@@ -18,25 +18,13 @@ from lime_planner.core.jit import kernel
 from lime_planner.core.types import Array, Bool, Float32
 from lime_planner.scene.clean import subset
 from lime_planner.scene.scene import Scene, merged
-from lime_planner.scene.views.depth_map import cell_of
+from lime_planner.scene.views.depth_map import cell_of, nearest_hits
 from lime_planner.scene.voxels import frozen
 
 PASSED_M = 0.02  #: a ray must end this far behind a point to have passed through it: noise and calibration are less
 _CELL_M = 0.006  # of the map of a picture, at the middle distance of its hits
-_SMALLEST_CELLS, _MOST_CELLS = 32, 1024  # along an edge of a face of the cube
 _AROUND_LEAF, _AROUND_STEM = 1, 3  # cells on each side of a point's direction in which nothing may have stopped a ray
 _LEAST_AROUND = 0.44  # share of these cells, the point's own included, that a return must have come from
-
-
-@kernel
-def _nearest(points: Any, origin: Any, cells: int) -> Any:
-    """Distance of the nearest hit in each cell of the cube around an origin, 0 where there is none."""
-    depths = np.zeros((6, cells, cells), np.float32)
-    for i in range(points.shape[0]):
-        face, row, column, distance = cell_of(points[i, 0] - origin[0], points[i, 1] - origin[1], points[i, 2] - origin[2], cells)
-        if distance > 0.0 and (depths[face, row, column] == 0.0 or distance < depths[face, row, column]):
-            depths[face, row, column] = distance
-    return depths
 
 
 @kernel
@@ -88,10 +76,7 @@ class Rays:
             if viewpoints is None or not len(hits):
                 continue
             origin = viewpoints[k].astype(np.float64)
-            some = hits[:: max(1, len(hits) // 5000)] - viewpoints[k]
-            middle_m = float(np.median(np.sqrt(np.einsum("ij,ij->i", some, some))))
-            cells = int(np.clip(np.ceil(2.0 * middle_m / _CELL_M), _SMALLEST_CELLS, _MOST_CELLS))
-            self._maps.append((origin, _nearest(frozen(hits), origin, cells)))
+            self._maps.append((origin, nearest_hits(hits, origin, _CELL_M)))
 
     def through(self, points: Float32, beside: int) -> Bool:
         """Tell which points (N, 3) some ray passed through, and no ray was stopped so many cells beside them, (N,)."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import os
 import threading
 import time
 from collections.abc import Iterator
@@ -18,6 +17,7 @@ import rclpy
 import yaml
 from arm_helpers import robot_named
 from builtin_interfaces.msg import Time
+from domains import DOMAIN
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSCompatibility, QoSProfile, ReliabilityPolicy, qos_check_compatible
 from ros_fakes import FakeRobot, build_fake, result
@@ -35,8 +35,6 @@ from lime_planner.ros.parameters import snapshot_from
 from lime_planner.ros.requests.parts import PlannedRequest
 from lime_planner.scene.scene import Scene
 
-pytestmark = pytest.mark.alone
-
 ROOT = Path(__file__).resolve().parents[3]
 
 #: What RViz's displays and Foxglove's panels show.
@@ -53,7 +51,7 @@ DIAGNOSTICS = "diagnostic_msgs/msg/DiagnosticArray"
 @pytest.fixture(scope="module")
 def nodes() -> Iterator[list[Node]]:
     """The three nodes as they are at start, in this process; nothing is spun."""
-    rclpy.init(args=[], domain_id=62 + os.getpid() % 38)
+    rclpy.init(args=[], domain_id=DOMAIN)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(planner_node, "make_arm_filter", lambda robot: lambda scene, q, padding_m: scene)
         made = [planner_node.PlannerNode(build_fake), SceneNode(), MockArmNode()]

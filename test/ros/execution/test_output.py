@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import importlib.util
-import os
 import time
 from collections.abc import Iterator
 
 import numpy as np
 import pytest
+from domains import DOMAIN
 from execution_rig import Rig, refusal_of, rested  # noqa: F401  (a fixture)
-from fake_node import BACK, FORTH
+from fake_node import BACK, FORTH, PATIENT
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
 from ros_fakes import JOINTS, START, cloud
@@ -18,6 +18,8 @@ from ros_harness import Bench, Program, code_of, execution_code, plan_id, progra
 
 from lime_planner.core.status import Status
 from lime_planner.ros.execution.output import Verdict
+
+pytestmark = pytest.mark.alone
 
 SUCCESS = Verdict(Status.SUCCEEDED, "the controller reports success")
 
@@ -65,7 +67,6 @@ def test_a_motion_that_the_controller_ended_is_seen_to_rest_and_not_commanded(ri
 
 # --- a real node, and a controller in a process of its own ------------------------------------------------------------------------
 
-DOMAIN = 20 + os.getpid() % 40
 MISSING = "control_msgs is not installed: scripts/control_msgs.sh generates it, or apt install ros-jazzy-control-msgs"
 needs_action = pytest.mark.skipif(importlib.util.find_spec("control_msgs") is None, reason=MISSING)
 
@@ -85,17 +86,17 @@ class ActionBench(Bench):
 
 @pytest.fixture(scope="module")
 def bench() -> Iterator[ActionBench]:
-    planner = ["test/helpers/fake_planner.py", "--ros-args", "-p", "controller:=jtc_action"]
+    planner = ["test/helpers/fake_planner.py", "--ros-args", *PATIENT, "-p", "controller:=jtc_action"]
     with (
         program(["test/helpers/action_arm.py"], DOMAIN, "the action is served") as arm,
-        program(planner, DOMAIN, "ready to plan", FAKE_DURATION_S="1.5"),
+        program(planner, DOMAIN, "ready to plan", FAKE_DURATION_S="2.5", FAKE_CANCEL_AFTER_S="2"),  # an arm in Python takes goals later
     ):
         made = ActionBench(JOINTS, START, domain=DOMAIN, plays_arm=False)
         made.arm = arm
         made.send_clouds(cloud(200), cloud(100))
         made.send_target(FORTH)
-        made.wait(lambda: made.received("grasp_target"), 20.0, "the target")
-        time.sleep(1.5)
+        made.wait_inputs()
+        made.wait(lambda: made.health.get("controllers") == "1", 20.0, "the action")
         yield made
         made.close()
 
@@ -104,11 +105,16 @@ def motion(bench: ActionBench, target: list[float], service: str = "plan") -> tu
     bench.send_clouds(cloud(200), cloud(100))
     bench.send_target(target)
     time.sleep(0.4)
-    return bench.call(service), bench.q.copy()
+    begin = bench.q.copy()
+    return bench.call(service), begin
+
+
+def moves(bench: ActionBench, begin: np.ndarray) -> None:
+    """Wait until the arm is well on its way."""
+    bench.wait(lambda: np.abs(bench.q - begin).max() > 0.03, 5.0, "the motion")
 
 
 @needs_action
-@pytest.mark.alone
 def test_the_action_carries_motions_out(bench: ActionBench) -> None:
     before = bench.q.copy()
     response, _ = motion(bench, FORTH, "plan_and_wait")
@@ -118,11 +124,10 @@ def test_the_action_carries_motions_out(bench: ActionBench) -> None:
 
 
 @needs_action
-@pytest.mark.alone
 def test_a_stop_brakes_through_the_action_and_cancels(bench: ActionBench) -> None:
-    response, _ = motion(bench, BACK)
+    response, begin = motion(bench, BACK)
     assert response.success  # type: ignore[attr-defined]
-    time.sleep(0.6)
+    moves(bench, begin)
     said = len(bench.arm.lines)
     assert bench.call("stop").success
     assert execution_code(bench, plan_id(response.message)) == "CANCELLED"  # type: ignore[attr-defined]
@@ -135,21 +140,19 @@ def test_a_stop_brakes_through_the_action_and_cancels(bench: ActionBench) -> Non
 
 
 @needs_action
-@pytest.mark.alone
 def test_a_stop_that_is_not_taken_is_a_cancellation(bench: ActionBench) -> None:
     bench.fault("reject_stops")
-    response, _ = motion(bench, FORTH)
+    response, begin = motion(bench, FORTH)
     assert response.success  # type: ignore[attr-defined]
-    time.sleep(0.5)
+    moves(bench, begin)
     said = len(bench.arm.lines)
     assert bench.call("stop").success
     assert execution_code(bench, plan_id(response.message)) == "CANCELLED"  # type: ignore[attr-defined]
-    assert "cancel of the active goal" in bench.arm.lines[said:]
+    bench.wait(lambda: "cancel of the active goal" in bench.arm.lines[said:], 5.0, "the cancellation")
     bench.fault("")
 
 
 @needs_action
-@pytest.mark.alone
 @pytest.mark.parametrize(
     ("fault", "code", "words"),
     [("reject", "NO_CONTROLLER", "rejected the motion"), ("violate", "EXECUTION_DEVIATED", "PATH_TOLERANCE_VIOLATED (j1 is 0.3 rad off)")],
@@ -165,15 +168,14 @@ def test_what_the_controller_says_is_how_the_motion_ended(bench: ActionBench, fa
 
 
 @needs_action
-@pytest.mark.alone
 def test_without_a_server_nothing_is_sent() -> None:
     domain = DOMAIN + 1
-    names = ["--ros-args", "-p", "controller:=jtc_action", "-p", "trajectory_action:=elsewhere/follow_joint_trajectory"]
+    names = ["--ros-args", *PATIENT, "-p", "controller:=jtc_action", "-p", "trajectory_action:=elsewhere/follow_joint_trajectory"]
     with program(["test/helpers/fake_planner.py", *names], domain, "ready to plan"):
         made = Bench(JOINTS, START, domain=domain)
         made.send_clouds(cloud(200), cloud(100))
         made.send_target(FORTH)
-        time.sleep(0.4)
+        made.wait_inputs()
         response = made.call("plan")
         made.close()
     assert response.message.startswith("NO_CONTROLLER: no controller serves the action elsewhere/follow_joint_trajectory")

@@ -25,7 +25,7 @@ ROBOT = SimpleNamespace(
     joint_names=NAMES, velocity_limits=VELOCITIES, acceleration_limits=ACCELERATIONS, lower=np.full(6, -np.inf), upper=np.full(6, np.inf)
 )
 STEP_S = 0.001
-STOPS = 200
+STOPS = 80
 #: The stated braking distance of a joint: v² / 2a and a fifth more where the path bends, and what it goes on the way [s].
 SHARE, LATE_S = 1.2, 0.06
 

@@ -13,8 +13,6 @@ from lime_planner.core.status import Status
 from lime_planner.ros.inputs.clouds import check_layout, decode_cloud, encode_cloud
 from lime_planner.scene.scene import Scene
 
-pytestmark = pytest.mark.alone
-
 TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 
 

@@ -17,7 +17,7 @@ from lime_planner.ros.inputs.frames import StaticFrames
 from lime_planner.ros.inputs.latest import Inputs
 from lime_planner.ros.inputs.scene_source import SceneSource
 from lime_planner.ros.parameters import snapshot_from
-from lime_planner.scene.from_clouds import unfiltered
+from lime_planner.scene.from_clouds import Origins, unfiltered
 
 NOW_S = 1000.0
 FRAMES = StaticFrames(["base left 0 0.5 0.5 0 0 0 1", "base right 0 -0.5 0.5 0 0 0 1", "j2s6s200_end_effector wrist 0 0.07 -0.1 0 0 0 1"])
@@ -152,3 +152,39 @@ def test_a_cloud_from_before_the_joints_are_known_is_no_view(robot: Robot) -> No
     cameras.send("wrist", block(0.5))
     status, sentence = refusal_of(cameras.scene)
     assert status is Status.TF_ERROR and "where the arm carried 'wrist'" in sentence
+
+
+def test_clouds_in_frames_without_a_camera_were_seen_from_the_given_places() -> None:
+    cameras = Cameras()
+    wall = np.stack(np.meshgrid([0.5], np.arange(-0.1, 0.1, 0.004), np.arange(0.3, 0.5, 0.004)), axis=-1).reshape(-1, 3)
+    behind = block(0.7) + [0.0, 0.0, 0.4]
+    cameras.send("base", np.concatenate([wall, behind]))
+    assert cameras.scene().viewpoints is None  # type: ignore[attr-defined]
+    front, back = [0.0, 0.0, 0.4], [1.5, 0.0, 0.4]
+    one = cameras.scene(viewpoints=front)
+    assert one.viewpoints.tolist() == [pytest.approx(front)] and (one.stem_view_ids == 0).all()  # type: ignore[attr-defined]
+    both = cameras.scene(viewpoints=[*front, *back])
+    hits = both.hits_by_view()  # type: ignore[attr-defined]
+    assert len(hits[0]) == len(wall) and (hits[0][:, 0] < 0.6).all(), "the wall hides the block from the front"
+    assert (hits[1][:, 0] > 0.6).any() and (hits[1][:, 0] < 0.6).any(), "from the back both are seen, but for what the block hides"
+    cameras.send("left", block(0.5))
+    scene = cameras.scene(viewpoints=front, fuse_views=False)
+    assert scene.viewpoints[0].tolist() == [0.0, 0.5, 0.5], "a camera's own frame says where it stands"  # type: ignore[attr-defined]
+
+
+def test_leaves_of_one_cloud_hide_stems_of_the_other() -> None:
+    cameras = Cameras()
+    leaf = np.stack(np.meshgrid([0.5], np.arange(-0.1, 0.1, 0.004), np.arange(0.3, 0.5, 0.004)), axis=-1).reshape(-1, 3)
+    for name, points in (("leaf_cloud", leaf), ("stem_cloud", block(0.7) + [0.0, 0.0, 0.4])):
+        cameras.send("base", points, name=name)
+    scene = cameras.scene(viewpoints=[0.0, 0.0, 0.4, 1.5, 0.0, 0.4])
+    front, back = scene.hits_by_view()  # type: ignore[attr-defined]
+    assert (front[:, 0] < 0.6).all() and (back[:, 0] > 0.6).any()
+    assert len(scene.stem_points) == 50  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize("frame", ["map", "odom", "/base_link", "robot_1/base_footprint"])
+def test_no_camera_stands_at_the_origin_of_a_map(frame: str) -> None:
+    assert Origins().of_frame(frame, "base", np.eye(4)) is None
+    assert Origins((1.0, 2.0, 3.0)).of_frame(frame, "base", np.eye(4)) == pytest.approx(np.array([[1.0, 2.0, 3.0]]))
+    assert Origins(fixed_frame="field").of_frame("field", "base", np.eye(4)) is None

@@ -25,8 +25,6 @@ from lime_planner.ros.inputs.frames import StaticFrames, TfFrames, lookup, make_
 from lime_planner.ros.inputs.joint_states import ArmState, JointHistory
 from lime_planner.ros.inputs.latest import Inputs
 
-pytestmark = pytest.mark.alone
-
 NOW_S = 1000.0
 IDENTITY = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]
 

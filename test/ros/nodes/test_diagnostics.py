@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from domains import DOMAIN
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from ros_fakes import build_fake
@@ -28,7 +29,7 @@ def maker(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., planner_nod
     """Make planner nodes in this process; nothing spins them."""
     monkeypatch.setattr(planner_node, "make_arm_filter", lambda robot: lambda scene, q, padding_m: scene)
     context = rclpy.Context()
-    rclpy.init(context=context, domain_id=95)
+    rclpy.init(context=context, domain_id=DOMAIN)
     made: list[planner_node.PlannerNode] = []
 
     def make(builder: Any = build_fake, **options: Any) -> planner_node.PlannerNode:

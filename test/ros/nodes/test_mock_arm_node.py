@@ -10,6 +10,7 @@ import time
 
 import numpy as np
 import pytest
+from domains import DOMAIN
 
 rclpy = pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
@@ -27,7 +28,6 @@ from lime_planner.ros.convert import to_joint_trajectory  # noqa: E402
 
 pytestmark = pytest.mark.alone
 
-DOMAIN = 20 + os.getpid() % 70
 LIMITS = np.full(6, 0.8)
 
 

@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Iterator
 
 import numpy as np
 import pytest
+from domains import DOMAIN
 from fake_node import BACK, FORTH, SLOW, at_rest, fake_node
 from ros_fakes import cloud
 from ros_harness import Bench, code_of, execution_code, plan_id
 
 pytestmark = pytest.mark.alone
-
-DOMAIN = 60 + os.getpid() % 40
 
 
 @pytest.fixture(scope="module")
@@ -259,6 +257,7 @@ def test_deviation_and_silence_stop_the_arm(bench: Bench) -> None:
     assert len(bench.commands[1][1].points) == 1
     bench.follow = True
     time.sleep(0.5)
+    bench.set(max_joint_state_age_s=0.3)
     number = plan_id(bench.call("plan").message)
     time.sleep(0.3)
     bench.publish_states = False

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Iterator
 
 import numpy as np
 import pytest
+from domains import DOMAIN
 from nav_msgs.srv import GetPlan
 from ros_harness import Bench, Program, code_of, execution_code, plan_id, program
 from trajectory_msgs.msg import JointTrajectory
@@ -23,7 +23,6 @@ from lime_planner.ros.inputs.clouds import encode_cloud
 from lime_planner.scene.plants.generator import generate_plant
 from lime_planner.scene.scene import Scene
 
-DOMAIN = 1 + os.getpid() % 18
 SEED = 7
 READY_S = 600.0  # with a cold kernel cache
 
@@ -168,7 +167,7 @@ class TestAPlayedArm:
             # A target that surely can be reached: where the tool is after a small move, among a few leaves and a stem far below.
             bench.send_target(matrix_to_pose(robot.forward(q + 0.15)))
             self.clouds(bench, np.array([[0.0, 0.0, -0.5]]))
-            bench.wait(lambda: bench.received("grasp_target") and bench.received("stem_cloud"), 20.0, "the inputs' arrival")
+            bench.wait_inputs()
             yield bench, robot, planner
             bench.close()
 

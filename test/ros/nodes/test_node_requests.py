@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import threading
 import time
 from collections import Counter
@@ -11,6 +10,7 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 import rclpy
+from domains import DOMAIN
 from fake_node import ENDLESS, FORTH, SLOW, at_rest, fake_node
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
@@ -20,8 +20,6 @@ from sensor_msgs.msg import PointCloud2
 from std_srvs.srv import Trigger
 
 pytestmark = pytest.mark.alone
-
-DOMAIN = 60 + os.getpid() % 40
 
 
 @pytest.fixture(scope="module")

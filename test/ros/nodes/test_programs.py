@@ -9,12 +9,12 @@ import sys
 import time
 
 import pytest
+from domains import DOMAIN
 from ros_harness import ROOT, environment
 
 pytestmark = pytest.mark.alone
 
 PROGRAMS = ("planner_node", "scene_node", "mock_arm_node")
-DOMAIN = 94
 
 
 def start(name: str, *arguments: str) -> subprocess.Popen[str]:

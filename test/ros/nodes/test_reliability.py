@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Iterator
 from typing import Any
 
 import pytest
+from domains import DOMAIN
 from reliability_rig import Rig, line, masked, rig, written
 from reliability_rows import GOOD, ROWS, Row, fields, some
 from ros_fakes import cloud
@@ -16,8 +16,6 @@ from lime_planner.core.status import Status
 from lime_planner.ros.requests.worker import Answer
 
 pytestmark = pytest.mark.alone
-
-DOMAIN = 60 + os.getpid() % 40
 
 
 @pytest.fixture(scope="module")
