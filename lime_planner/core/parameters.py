@@ -134,6 +134,7 @@ class Settings:
     approach_zone_m: float = _row(0.10, "Distance of the tool from the target within which the exclusion sphere holds.", "m", 0.0, 1.0, shapes_obstacles=True)
     grasp_freedom: str = _row("exact", "What a target pose leaves open: `exact`, `roll` (any turn about the approach), `cone` (also approaches within approach_cone_rad of its own).", choices=("exact", "roll", "cone"))
     approach_distance_m: float = _row(0.08, "Length of the straight last stretch along the tool's +z, orientation kept; 0: none.", "m", 0.0, 0.5, shapes_obstacles=True)
+    stop_before_approach: bool = _row(False, "Whether the motion comes to rest where the straight last stretch begins, and on the way back where it ends.")
     min_approach_distance_m: float = _row(0.03, "Shorter stretches are refused for fruit and candidates; an exact pose takes what there is.", "m", 0.0, 0.5)
     approach_cone_rad: float = _row(1.5707963267948966, "Largest angle between an approach and the ray from the base to the fruit, or a pose's own approach.", "rad", 0.0, 3.141592653589793)
     max_grasps: int = _row(1000, "Approaches tried for a target that leaves something open, four in ten of them only where all touch leaves; candidates are all tried.", "", 1, 10_000)

@@ -9,12 +9,14 @@ step is what makes the points faithful to both controllers:
 - the sum of the velocities times the grid (what the Kinova driver carries out) telescopes to the coordinate's end exactly, and
   to the goal's joint angles up to the corners' curvature, about 1e-5 rad.
 
-What the average adds at corners is taken back by slowing the whole run, a few per cent, until the cubics respect the limits. The run
-is slowed as well where the grid is too coarse for it: the cubics must stay at the curve, and the sum must end at the goal.
+What the average adds at corners is taken back by a lower speed there, found in a few rounds; what those leave, about two per cent, by
+slowing the whole run until the cubics respect the limits. The run is slowed as well where the grid is too coarse for it: the cubics
+must stay at the curve, and the sum must end at the goal.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -43,6 +45,7 @@ _CORNER_NODES = 8
 _STRAIGHT_NODES = 100  # on the whole path's length
 _CAPPED_NODES = 400  # the same where the speed is capped along the path
 _ATTEMPTS = 60
+_EASINGS = 6  # of the speed at corners, as long as each makes the motion shorter
 
 
 def time_path(
@@ -181,24 +184,55 @@ class _Run:
         return self.dt_s * max(3, round(_WINDOW_S / self.dt_s))
 
     def trajectory(self, first: Array, last: Array) -> Trajectory:
-        """Time the path, and slow it until the points carry it out within the limits and tolerances."""
+        """Time the path, lower its speed where the points would break a limit, and slow the whole by what is left of that."""
         from lime_planner.motion.profile import fastest  # toppra takes a second to import
 
         nodes = self._nodes()
-        profile = fastest(self.path, nodes, self._speed_limits(nodes), self.accelerations)
+        limits = self._speed_limits(nodes)
+        profile = fastest(self.path, nodes, limits, self.accelerations)
+        best = self._slowed(profile, first, last)
+        for _ in range(_EASINGS):
+            limits = np.minimum(limits, self._eased(profile, nodes))
+            profile = fastest(self.path, nodes, limits, self.accelerations)
+            result = self._slowed(profile, first, last)
+            if len(result) >= len(best):
+                break
+            best = result
+        return best
+
+    def _points(self, run: Profile, steps: int) -> tuple[Trajectory, Array]:
+        """Return the points of a smoothed run, from rest to rest, and their coordinates (steps + 1,)."""
+        coordinates, speeds = run.smoothed(self.dt_s * np.arange(steps + 1, dtype=np.float64), self.window_s)
+        velocities = self.path(coordinates, 1) * speeds[:, None]
+        velocities[0] = velocities[-1] = 0.0
+        return Trajectory(self.names, self.dt_s, self.path(coordinates), velocities), coordinates
+
+    def _eased(self, run: Profile, nodes: Array) -> Array:
+        """Return the run's own speed at every node (N + 1,), lower where its points would break a limit, infinite elsewhere."""
+        steps = int(np.ceil((run.times_s[-1] + self.window_s) / self.dt_s - 1e-9))
+        result, coordinates = self._points(run, steps)
+        # The points come late by half a window, and each is an average over a whole one.
+        excess = self._excess(result, coordinates)
+        early_s = self.dt_s * np.arange(steps, dtype=np.float64) - self.window_s
+        factors = np.ones(len(nodes))
+        for i in np.flatnonzero(excess > 1.0 + LIMIT_SLACK):
+            near = (run.times_s >= early_s[i]) & (run.times_s <= early_s[i] + self.window_s + self.dt_s)
+            factors[near] = np.maximum(factors[near], excess[i])
+        return np.where(factors > 1.0, run.speeds / factors, np.inf)
+
+    def _slowed(self, profile: Profile, first: Array, last: Array) -> Trajectory:
+        """Slow a run until the points carry it out within the limits and tolerances."""
         run_s = float(profile.times_s[-1])
         wanted_s = run_s
         for attempt in range(_ATTEMPTS):
             steps = int(np.ceil((wanted_s + self.window_s) / self.dt_s - 1e-9))
             wanted_s = steps * self.dt_s - self.window_s
             slowed = profile.stretched(wanted_s / run_s)
-            coordinates, speeds = slowed.smoothed(self.dt_s * np.arange(steps + 1, dtype=np.float64), self.window_s)
-            positions = self.path(coordinates)
-            velocities = self.path(coordinates, 1) * speeds[:, None]
+            result, coordinates = self._points(slowed, steps)
+            positions = result.positions.copy()
             positions[0], positions[-1] = first, last
-            velocities[0] = velocities[-1] = 0.0
-            result = Trajectory(self.names, self.dt_s, positions, velocities)
-            excess = max(self._excess(result, coordinates), self._coarseness(result, slowed))
+            result = dataclasses.replace(result, positions=positions)
+            excess = max(float(self._excess(result, coordinates).max()), self._coarseness(result, slowed))
             if excess <= 1.0 + LIMIT_SLACK:
                 return result
             # The average does not slow down quite as the run does; a little more each time ends that.
@@ -230,15 +264,15 @@ class _Run:
         lowest = np.array([caps[max(i - 1, 0) : j + 1].min() for i, j in zip(low, high, strict=True)], dtype=np.float64)
         return np.asarray(limits * lowest, dtype=np.float64)
 
-    def _excess(self, result: Trajectory, coordinates: Array) -> float:
-        """Return the factor by which the run must be slowed so that every cubic respects its limits; at most 1 when all do."""
+    def _excess(self, result: Trajectory, coordinates: Array) -> Array:
+        """Return by what factor each interval (K - 1,) must be slowed so that its cubic respects the limits; at most 1 where it does."""
         speed = result.peak_velocities() / self.velocities
         if self.scale is not None:
             caps = self.scale(coordinates)
             speed = speed / np.maximum(caps[1:], caps[:-1])[:, None]
         start, end = result.end_accelerations()
         acceleration = np.maximum(np.abs(start), np.abs(end)) / self.accelerations
-        return float(max(speed.max(), np.sqrt(acceleration.max())))
+        return np.asarray(np.maximum(speed.max(axis=1), np.sqrt(acceleration.max(axis=1))), dtype=np.float64)
 
     def _coarseness(self, result: Trajectory, run: Profile) -> float:
         """Return the factor by which the run must be slowed for the grid to carry it; at most 1 when it does."""

@@ -88,6 +88,20 @@ class Trajectory:
             )
         return cls(tuple(joint_names), dt_s, np.asarray(positions), np.asarray(velocities), float(times[0]))
 
+    def then(self, other: Trajectory) -> Trajectory:
+        """Return this motion followed at once by another one, which begins where this one rests.
+
+        Raises:
+            ProblemError: other joints, another spacing, or another place than this one's end.
+        """
+        if other.joint_names != self.joint_names or other.dt_s != self.dt_s or other.first_time_s != 0.0:
+            raise ProblemError("motions are joined that have the same joints and spacing, the second from time 0 on")
+        if not np.array_equal(self.positions[-1], other.positions[0]) or self.velocities[-1].any() or other.velocities[0].any():
+            raise ProblemError("a motion is joined to one that ends, at rest, where it begins")
+        positions = np.vstack([self.positions, other.positions[1:]])
+        velocities = np.vstack([self.velocities, other.velocities[1:]])
+        return Trajectory(self.joint_names, self.dt_s, positions, velocities, self.first_time_s)
+
     @property
     def duration_s(self) -> float:
         """Time of the last point after the start [s]."""

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
+import itertools
 from collections.abc import Callable
 
 import numpy as np
@@ -50,7 +52,7 @@ def make_trajectory(
     straight: slice | None = None,
     close: Array | None = None,
 ) -> Trajectory:
-    """Time a path within the robot's scaled limits, slower inside leaves where the settings ask for it.
+    """Time a path within the robot's scaled limits, slower inside leaves and at rest before the straight stretch where asked for.
 
     Args:
         robot: the arm.
@@ -65,24 +67,42 @@ def make_trajectory(
         tolerances[close] = min(_CLOSE_TOLERANCE_RAD, settings.corner_tolerance_rad)
     if straight is not None and len(waypoints[straight]) > 1:
         tolerances[straight] = min(STRAIGHT_TOLERANCE_RAD, settings.corner_tolerance_rad)
-    scale: Callable[[Array], Array] | None = None
+    slow: Callable[[Array], Array] | None = None
     if settings.leaf_speed_scale < 1.0:
         contact = leaf_spans(obstacles, waypoints)
 
-        def scale(p: Array) -> Array:
+        def slow(p: Array) -> Array:
             return np.where(contact.touches(p - SLOWED_RAD, p + SLOWED_RAD), settings.leaf_speed_scale, 1.0)
 
-    return time_path(
-        waypoints,
-        robot.velocity_limits,
-        robot.acceleration_limits,
-        joint_names=robot.joint_names,
-        dt_s=settings.trajectory_dt_s,
-        velocity_scaling=settings.velocity_scaling,
-        acceleration_scaling=settings.acceleration_scaling,
-        corner_tolerance_rad=tolerances,
-        speed_scale=scale,
-    )
+    lengths = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(waypoints, axis=0), axis=1)))
+    rests = _rests(straight, len(waypoints)) if settings.stop_before_approach else []
+    parts = [
+        time_path(
+            waypoints[first : last + 1],
+            robot.velocity_limits,
+            robot.acceleration_limits,
+            joint_names=robot.joint_names,
+            dt_s=settings.trajectory_dt_s,
+            velocity_scaling=settings.velocity_scaling,
+            acceleration_scaling=settings.acceleration_scaling,
+            corner_tolerance_rad=tolerances[first : last + 1],
+            speed_scale=None if slow is None else functools.partial(_from, slow, lengths[first]),
+        )
+        for first, last in itertools.pairwise([0, *rests, len(waypoints) - 1])
+    ]
+    return functools.reduce(Trajectory.then, parts)
+
+
+def _rests(straight: slice | None, count: int) -> list[int]:
+    """Return the waypoints, of `count`, between a straight stretch and the rest of its path: one, or none."""
+    if straight is None:
+        return []
+    first, stop, _ = straight.indices(count)
+    return [at for at in (first, stop - 1) if 0 < at < count - 1]
+
+
+def _from(scale: Callable[[Array], Array], start_rad: float, p: Array) -> Array:
+    return scale(start_rad + p)
 
 
 def contract_violations(robot: Robot, trajectory: Trajectory, q_measured: Array, settings: Settings) -> list[str]:

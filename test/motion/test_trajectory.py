@@ -75,6 +75,22 @@ def test_samples_with_times():
         Trajectory.from_samples(NAMES, times, motion.positions, motion.velocities)
 
 
+def test_one_motion_after_another():
+    first = Trajectory(NAMES, 0.5, np.array([[0.0, 0.0], [1.0, 1.0], [2.0, 3.0]]), np.array([[0.0, 0.0], [1.0, 2.0], [0.0, 0.0]]))
+    second = Trajectory(NAMES, 0.5, np.array([[2.0, 3.0], [4.0, 3.0]]), np.zeros((2, 2)))
+    both = first.then(second)
+    assert both.duration_s == first.duration_s + second.duration_s and both.positions[:, 0].tolist() == [0.0, 1.0, 2.0, 4.0]
+    for t in (0.3, 0.9, 1.0):
+        np.testing.assert_array_equal(both.sample(t), first.sample(t))
+    np.testing.assert_allclose(both.sample(1.2), second.sample(0.2), atol=1e-14)
+    for other in (first, Trajectory(NAMES, 0.5, second.positions, np.ones((2, 2)))):
+        with pytest.raises(ProblemError, match="ends, at rest, where it begins"):
+            first.then(other)
+    for names, dt_s in ((("a", "c"), 0.5), (NAMES, 0.1)):
+        with pytest.raises(ProblemError, match="the same joints and spacing"):
+            first.then(Trajectory(names, dt_s, second.positions, second.velocities))
+
+
 @pytest.mark.parametrize(
     ("change", "words"),
     [

@@ -205,6 +205,36 @@ def test_a_plan_ends_along_the_palms_axis(arm: str) -> None:
     assert checker.certify(rows).ok
 
 
+@pytest.mark.parametrize("leaf_speed_scale", [1.0, 0.3])
+def test_where_asked_for_the_arm_rests_before_the_straight_stretch_and_after_it_on_the_way_back(leaf_speed_scale: float) -> None:
+    result, scene = picked(J2S)
+    assert result.trajectory is not None and result.straight_from is not None
+    pipeline, begin = pipeline_of(J2S), result.waypoints[result.straight_from]
+    last = len(result.waypoints) - 1
+    assert 0 < result.straight_from < last
+    out = slice(result.straight_from, last + 1)
+    back = slice(0, last - result.straight_from + 1)
+    for waypoints, straight in ((result.waypoints, out), (result.waypoints[::-1], back)):
+        moved = {}
+        for stop in (False, True):
+            used = settings(stop_before_approach=stop, leaf_speed_scale=leaf_speed_scale)
+            again = pipeline.follow(waypoints, scene, result.target, used, straight=straight)
+            assert again.succeeded, again.message
+            assert again.trajectory is not None
+            moved[stop] = again.trajectory
+        at_rest = np.flatnonzero(~moved[True].velocities.any(axis=1))
+        assert len(at_rest) == 3 and moved[False].velocities[1:-1].any(axis=1).all()
+        np.testing.assert_allclose(moved[True].positions[at_rest], [waypoints[0], begin, waypoints[-1]], atol=1e-9)
+        assert moved[True].duration_s > moved[False].duration_s
+        # On either side of the rest the arm is as slow among leaves as without it.
+        assert np.abs(moved[True].velocities).max() <= np.abs(moved[False].velocities).max() * 1.3
+    # Without a stretch, or with nothing but one, there is nowhere to rest.
+    used = settings(stop_before_approach=True)
+    for waypoints, straight in ((result.waypoints[:2], None), (result.waypoints[out], slice(0, last - result.straight_from + 1))):
+        motion = pipeline.follow(waypoints, scene, result.target, used, straight=straight).trajectory
+        assert motion is not None and motion.velocities[1:-1].any(axis=1).all()
+
+
 def test_a_stop_is_heard_while_grasps_are_looked_for() -> None:
     scene, centre = fruit_scene()
     used = settings()
