@@ -24,7 +24,7 @@ from lime_planner.pipeline import recheck
 from lime_planner.pipeline.certify import CERTIFIED_STEP_RAD, hit_of, timed_motion
 from lime_planner.pipeline.context import Clock, ask, checked_deadline, checked_start, never
 from lime_planner.pipeline.figures import path_figures, sample_path
-from lime_planner.pipeline.goals import Goals, examine_start
+from lime_planner.pipeline.goals import Goals, examine_start, tight_anchors
 from lime_planner.pipeline.grasps.goals import goals_of
 from lime_planner.pipeline.grasps.slide import SHARE, slide, trials_for, worth_sliding
 from lime_planner.pipeline.obstacles import Obstacles, prepare, seen_map_of, stem_checker
@@ -33,6 +33,7 @@ from lime_planner.pipeline.result import PlanResult, set_parameters
 from lime_planner.pipeline.search import search
 from lime_planner.pipeline.spots import Spot, spot_at
 from lime_planner.pipeline.targets import Target, candidates_target, fruit_target, target_of
+from lime_planner.pipeline.way_out import way_out
 from lime_planner.planning.planner import load_planner
 from lime_planner.planning.practice import practise
 from lime_planner.planning.space import line, one
@@ -191,12 +192,16 @@ class Pipeline:
 
         try:
             obstacles, checker, goals = self._goals(scene, aim, q, settings, seed, clock, counts, figures, ended, obstacles)
-            inside = np.clip(q, self.robot.lower, self.robot.upper)
+            begin = np.clip(q, self.robot.lower, self.robot.upper)
+            first_moves = [] if self.robot.within_limits(q) else [q]  # led back inside first
+            off = way_out(obstacles, checker, begin, np.random.default_rng(seed), ended)
+            if off is not None:
+                first_moves, begin = [*first_moves, begin], off
+                obstacles = obstacles.with_anchors(*tight_anchors(obstacles, goals.configurations, begin))
             path, straight_from, T = self._path(
-                obstacles, checker, aim, inside, goals, settings, seed, clock, counts, ended, deadline_s, iterations
+                obstacles, checker, aim, begin, goals, settings, seed, clock, counts, ended, deadline_s, iterations
             )
-            if not self.robot.within_limits(q):  # led back inside first
-                path, straight_from = np.vstack([q, path]), straight_from + 1
+            path, straight_from = np.vstack([*first_moves, path]), straight_from + len(first_moves)
             figures |= {"T_base_tool": T, "straight_from": straight_from}
             figures |= path_figures(obstacles, path, T, straight_from)
             clock.lap("figures")
