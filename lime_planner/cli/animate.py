@@ -41,7 +41,7 @@ def run(args: argparse.Namespace) -> int:
     from lime_planner.output.console import console
     from lime_planner.output.saved_plan import read_plan
     from lime_planner.pipeline import Pipeline
-    from lime_planner.pipeline.plan_record import PlanRecord
+    from lime_planner.pipeline.result import PlanRecord
 
     if not 1.0 <= args.fps <= 60.0:
         raise ParameterError(f"--fps {args.fps:g}: allowed are 1 to 60")

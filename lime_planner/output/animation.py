@@ -20,7 +20,7 @@ from lime_planner.output.render import Layer, View, cloud_layer, compose, halved
 from lime_planner.output.timeline import Timeline, timeline_of
 from lime_planner.pipeline import Pipeline
 from lime_planner.pipeline.goals import FREE
-from lime_planner.pipeline.plan_record import PlanRecord
+from lime_planner.pipeline.result import PlanRecord
 from lime_planner.robot.model import Robot
 from lime_planner.scene.scene import Scene
 

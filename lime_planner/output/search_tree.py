@@ -11,7 +11,7 @@ from lime_planner.core.types import Bool, Float32
 from lime_planner.pipeline import Pipeline
 from lime_planner.pipeline.context import never
 from lime_planner.pipeline.grasps.goals import goals_of
-from lime_planner.pipeline.plan_record import PlanRecord
+from lime_planner.pipeline.result import PlanRecord
 from lime_planner.pipeline.search import search
 from lime_planner.pipeline.targets import pose_target
 from lime_planner.planning.planner import no_tree

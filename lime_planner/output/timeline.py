@@ -14,7 +14,7 @@ from lime_planner.pipeline import Pipeline
 from lime_planner.pipeline.clearance import StemClearance
 from lime_planner.pipeline.figures import sample_path
 from lime_planner.pipeline.leaf_spans import leaf_spans
-from lime_planner.pipeline.plan_record import PlanRecord
+from lime_planner.pipeline.result import PlanRecord
 from lime_planner.pipeline.spots import Spot
 
 _STEP_S = 0.04  # between two samples of a motion

@@ -12,7 +12,7 @@ from lime_planner.core.status import Status
 from lime_planner.core.types import Array
 from lime_planner.pipeline.goals import ARM_BLOCKED, HAND_BLOCKED
 from lime_planner.pipeline.pipeline import Pipeline
-from lime_planner.pipeline.plan_record import PlanRecord
+from lime_planner.pipeline.result import PlanRecord
 from lime_planner.robot.ik import solve_ik
 
 _APPROACHES = 12  # blocked approaches for which a configuration is looked for

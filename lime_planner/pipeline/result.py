@@ -20,6 +20,7 @@ from lime_planner.motion.trajectory import Trajectory
 from lime_planner.pipeline.goals import OUTCOMES
 from lime_planner.pipeline.targets import Target
 from lime_planner.robot.model import Robot
+from lime_planner.scene.scene import Scene
 
 #: What is shown of a plan: name of the figure, words, unit, factor from the figure's unit, decimals.
 ROWS: tuple[tuple[str, str, str, float, int], ...] = (
@@ -248,3 +249,26 @@ def set_parameters(settings: Settings, robot: Robot) -> dict[str, Any]:
     if robot.locked:
         arm["finger_positions"] = [f"{name}: {position!r}" for name, position in robot.locked]
     return {**changed, **arm}
+
+
+@dataclass(frozen=True, eq=False)
+class PlanRecord:
+    """A finished plan with what it was made of.
+
+    Attributes:
+        number: tells plans apart; what Execute is confirmed for.
+        scene, settings: as used.
+        target: (7,) pose of the tool at the fruit, T_base_tool; None for a motion without one (a retreat).
+        result: of any status.
+    """
+
+    number: int
+    scene: Scene
+    settings: Settings
+    target: Array | None
+    result: PlanResult
+
+    @property
+    def found(self) -> bool:
+        """Whether there is a path to be shown."""
+        return len(self.result.waypoints) > 1

@@ -14,7 +14,7 @@ from typing import Any, Protocol
 from lime_planner.core.parameters import Settings, validate
 from lime_planner.core.types import Array
 from lime_planner.pipeline import Pipeline
-from lime_planner.pipeline.plan_record import PlanRecord
+from lime_planner.pipeline.result import PlanRecord
 from lime_planner.robot.model import Robot
 from lime_planner.scene.scene import Scene
 

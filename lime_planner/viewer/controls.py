@@ -9,7 +9,7 @@ from typing import Any
 from lime_planner.core.parameters import Settings
 from lime_planner.core.planners import PLANNERS
 from lime_planner.output.timeline import Timeline
-from lime_planner.pipeline.plan_record import PlanRecord
+from lime_planner.pipeline.result import PlanRecord
 from lime_planner.planning.planner import load_planner
 from lime_planner.viewer import words
 from lime_planner.viewer.backend import Activity, Moment

@@ -13,7 +13,7 @@ from lime_planner.core.types import Float32, UInt8
 from lime_planner.output.picture import FREE_PATH, LEAFY_PATH
 from lime_planner.output.search_tree import SearchTree, search_tree_of
 from lime_planner.pipeline import Pipeline
-from lime_planner.pipeline.plan_record import PlanRecord
+from lime_planner.pipeline.result import PlanRecord
 from lime_planner.viewer.backend import Moment
 from lime_planner.viewer.controls import FIELDS, Controls
 from lime_planner.viewer.layers import Arm, rgb

@@ -12,7 +12,7 @@ from typing import Any
 
 from lime_planner.output.timeline import Timeline
 from lime_planner.pipeline.in_the_way import InTheWay
-from lime_planner.pipeline.plan_record import PlanRecord
+from lime_planner.pipeline.result import PlanRecord
 from lime_planner.robot.model import Robot
 from lime_planner.viewer import words
 

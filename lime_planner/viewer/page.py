@@ -17,7 +17,7 @@ import numpy as np
 from lime_planner.core.geometry import matrix_to_pose
 from lime_planner.output.timeline import Timeline, timeline_of
 from lime_planner.pipeline.in_the_way import in_the_way
-from lime_planner.pipeline.plan_record import PlanRecord
+from lime_planner.pipeline.result import PlanRecord
 from lime_planner.robot.model import Robot, home
 from lime_planner.scene.scene import Scene
 from lime_planner.viewer import words

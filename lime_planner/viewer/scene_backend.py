@@ -19,7 +19,7 @@ from lime_planner.motion.trajectory import Trajectory
 from lime_planner.motion.way_back import straight_back, way_back
 from lime_planner.output.console import compile_first
 from lime_planner.pipeline import Pipeline, PlanResult
-from lime_planner.pipeline.plan_record import PlanRecord
+from lime_planner.pipeline.result import PlanRecord
 from lime_planner.pipeline.scene_targets import own_target
 from lime_planner.pipeline.targets import Target, fruit_target, pose_target, target_of
 from lime_planner.robot.model import Robot, home

@@ -12,7 +12,7 @@ from lime_planner.core.status import Status
 from lime_planner.output.approach_lines import APPROACH_COLOURS, APPROACH_WORDS
 from lime_planner.output.picture import ARM, FREE_PATH, LEAFY_PATH, LIME, STEM, TARGET
 from lime_planner.output.timeline import CLEARANCE_SHOWN_M, Timeline
-from lime_planner.pipeline.plan_record import PlanRecord
+from lime_planner.pipeline.result import PlanRecord
 from lime_planner.viewer.backend import Activity, Moment
 from lime_planner.viewer.layers import BLOCKED, LEAF, Colour, rgb
 

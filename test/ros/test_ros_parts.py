@@ -16,7 +16,7 @@ from lime_planner.core.errors import Refusal, RobotError
 from lime_planner.core.parameters import settings_from
 from lime_planner.core.status import Status
 from lime_planner.motion.way_back import way_back
-from lime_planner.pipeline.plan_record import PlanRecord
+from lime_planner.pipeline.result import PlanRecord
 from lime_planner.robot.model import Robot, home, load_robot
 from lime_planner.ros.display.markers import markers
 from lime_planner.ros.execution.retreat import Path, WayOut, nearest_turns

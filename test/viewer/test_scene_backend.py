@@ -23,7 +23,7 @@ from lime_planner.output.search_tree import search_tree_of
 from lime_planner.output.timeline import Timeline, timeline_of
 from lime_planner.pipeline import PlanResult
 from lime_planner.pipeline.goals import FREE
-from lime_planner.pipeline.plan_record import PlanRecord
+from lime_planner.pipeline.result import PlanRecord
 from lime_planner.robot.model import home
 from lime_planner.viewer.backend import Activity, Moment, Wishes
 from lime_planner.viewer.scene_backend import SceneBackend

@@ -14,7 +14,7 @@ from lime_planner.core.geometry import matrix_to_pose, pose_to_matrix
 from lime_planner.core.status import Status
 from lime_planner.output.timeline import timeline_of
 from lime_planner.pipeline.in_the_way import in_the_way
-from lime_planner.pipeline.plan_record import PlanRecord
+from lime_planner.pipeline.result import PlanRecord
 from lime_planner.pipeline.targets import pose_target
 from lime_planner.robot.model import home
 from lime_planner.viewer import words

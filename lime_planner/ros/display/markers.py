@@ -15,7 +15,7 @@ from lime_planner.core.geometry import matrix_to_pose, pose_to_matrix
 from lime_planner.core.types import Array, Int64
 from lime_planner.output.approach_lines import approach_lines
 from lime_planner.pipeline.goals import ARM_BLOCKED, DEARER, FREE, HAND_BLOCKED, NO_ROOM, OUT_OF_REACH, OUTCOMES
-from lime_planner.pipeline.plan_record import PlanRecord
+from lime_planner.pipeline.result import PlanRecord
 from lime_planner.ros.convert import to_pose
 
 #: Points shown of each class; more only slows the display down.

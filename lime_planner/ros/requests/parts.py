@@ -7,7 +7,7 @@ from typing import Protocol
 
 from rclpy.node import Node
 
-from lime_planner.pipeline.plan_record import PlanRecord
+from lime_planner.pipeline.result import PlanRecord
 from lime_planner.ros.execution.execution import Execution
 from lime_planner.ros.execution.stem_watch import StemWatch
 from lime_planner.ros.inputs.frames import Frames

@@ -15,8 +15,7 @@ from lime_planner.core.errors import LimePlannerError, Refusal
 from lime_planner.core.geometry import matrix_to_pose
 from lime_planner.core.status import Status
 from lime_planner.motion.way_back import straight_back, way_back
-from lime_planner.pipeline.plan_record import PlanRecord
-from lime_planner.pipeline.result import PlanResult
+from lime_planner.pipeline.result import PlanRecord, PlanResult
 from lime_planner.pipeline.targets import Target as Aim
 from lime_planner.pipeline.targets import pose_target
 from lime_planner.ros.execution.retreat import Path, nearest_turns

@@ -23,7 +23,7 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSCompatibility, QoSProf
 from ros_fakes import FakeRobot, build_fake, result
 
 from lime_planner.core.parameters import settings_from
-from lime_planner.pipeline.plan_record import PlanRecord
+from lime_planner.pipeline.result import PlanRecord
 from lime_planner.robot.convex_hulls import arm_hull
 from lime_planner.robot.model import home
 from lime_planner.ros.display.marker_publisher import MarkerPublisher
