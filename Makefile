@@ -55,10 +55,7 @@ lint: setup-test
 test: lint
 	@scripts/browser.sh
 	@scripts/control_msgs.sh || echo "make test: the tests of controller: jtc_action will be skipped"
-	@status=0; export ROS_PYTHON_CHECK_FIELDS=1; \
-	$(BIN)/python -m pytest -m "not alone" -n 2 --dist loadfile $(if $(COVERAGE),--cov --cov-report=term:skip-covered) $(PYTEST_ARGS) || status=1; \
-	$(BIN)/python -m pytest -m alone --reruns 1 --reruns-delay 5 $(PYTEST_ARGS) || status=1; \
-	exit $$status
+	@COVERAGE='$(COVERAGE)' scripts/tests.sh $(PYTEST_ARGS)
 
 docs: setup-docs
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet

@@ -47,7 +47,6 @@ EXTRAS_REQUIRE = {
         "pytest>=7.4,<9",
         "pytest-xdist>=3.5",
         "pytest-cov>=4.1",
-        "pytest-rerunfailures>=12.0",  # a test that measures time is asked once more: machines are shared
         "hypothesis>=6.90",
         "ruff>=0.6",
         "mypy>=1.11",

@@ -17,7 +17,7 @@ from lime_planner.experiments.problems import build_problem
 PLANT = "sparse:4"
 TRIAL_KEYS = {"problem", "method", "seed", "seconds", "checks", "curve", "cost"}
 
-pytestmark = pytest.mark.alone  # OMPL's planners run by the clock
+pytestmark = pytest.mark.timed  # OMPL's planners run by the clock
 
 
 @pytest.fixture(scope="module")

@@ -38,7 +38,7 @@ def test_help_teaches_within_80_columns(words: tuple[str, ...], capsys: pytest.C
     assert max(map(len, text.splitlines())) <= 80
 
 
-@pytest.mark.alone
+@pytest.mark.timed
 def test_help_is_quick_and_imports_nothing_heavy() -> None:
     script = "import sys; from lime_planner.cli.main import main\ntry: main(['--help'])\nexcept SystemExit: pass\n"
     script += "print(sorted({'numpy', 'numba', 'open3d', 'pinocchio', 'rclpy', 'rich', 'matplotlib'} & set(sys.modules)), file=sys.stderr)"

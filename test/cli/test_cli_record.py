@@ -22,7 +22,7 @@ from lime_planner.robot.model import home
 from lime_planner.scene.files import load_start
 from lime_planner.scene.scene import Scene
 
-pytestmark = pytest.mark.alone
+pytestmark = pytest.mark.timed
 
 
 @pytest.fixture(scope="module")

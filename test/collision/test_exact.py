@@ -90,7 +90,7 @@ def test_agrees_with_an_independent_computation(name: str) -> None:
     assert mismatches == 0
 
 
-@pytest.mark.alone
+@pytest.mark.timed
 def test_on_a_real_scan(shared_data: Path) -> None:
     rng = np.random.default_rng(2)
     scan = np.load(shared_data / "tomato_wur_h01p179_pred.npz")

@@ -57,7 +57,7 @@ def test_a_call_is_given_up_when_nobody_wants_it() -> None:
     assert threaded(lambda: call_elsewhere(np.sum, large)) == 0.0
 
 
-@pytest.mark.alone
+@pytest.mark.timed
 def test_grids_made_elsewhere_are_those_made_here(tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """And other threads run on meanwhile, whatever holds the interpreter over there."""
     from lime_planner.collision.link_grids import build_grids

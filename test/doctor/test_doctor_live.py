@@ -20,7 +20,7 @@ from lime_planner.ros.requests.status_board import health_message
 from lime_planner.ros.tools import live_checks
 from lime_planner.ros.tools.listener import Listener
 
-pytestmark = pytest.mark.alone
+pytestmark = pytest.mark.timed
 
 
 @pytest.fixture(scope="module")

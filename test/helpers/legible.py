@@ -36,6 +36,8 @@ _FAINT = """([least, leastLarge]) => {
     }
     return layers.reduceRight((below, top) => over(top, below), dark ? [18, 18, 18] : [255, 255, 255]);
   };
+  // What just comes or goes is read before or after; what turns for ever is read as it is.
+  const fades = (animation) => animation.playState === "running" && Number.isFinite(animation.effect.getComputedTiming().endTime);
   const found = [];
   const judge = (element, text) => {
     if (!element.checkVisibility({opacityProperty: true, visibilityProperty: true})) return;
@@ -44,7 +46,10 @@ _FAINT = """([least, leastLarge]) => {
     if (box.width < 2 || box.height < 2) return;
     let colour = bytes(element instanceof SVGElement ? style.fill : style.color);
     let opacity = 1;
-    for (let e = element; e; e = e.parentElement) opacity *= Number(getComputedStyle(e).opacity);
+    for (let e = element; e; e = e.parentElement) {
+      if (e.getAnimations().some(fades)) return;
+      opacity *= Number(getComputedStyle(e).opacity);
+    }
     const back = behind(element), ink = light(over([colour[0], colour[1], colour[2], colour[3] * opacity], back)), paper = light(back);
     const ratio = (Math.max(ink, paper) + 0.05) / (Math.min(ink, paper) + 0.05), size = parseFloat(style.fontSize);
     const large = size >= 24 || (size >= 18.6 && Number(style.fontWeight) >= 700);

@@ -23,7 +23,7 @@ def random_motions(count, seed=0, scaling=1.0):
         yield motion, float(rng.uniform(0.0, motion.duration_s))
 
 
-@pytest.mark.alone
+@pytest.mark.timed
 @pytest.mark.parametrize("scaling", [1.0, 0.4])
 def test_braking_keeps_path_and_limits(scaling):
     hardest, off_path, taken = 0.0, 0.0, []

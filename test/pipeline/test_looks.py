@@ -153,7 +153,7 @@ def test_the_target_fruit_is_hard_on_a_look() -> None:
     assert len(ik.solutions)
 
 
-@pytest.mark.alone
+@pytest.mark.timed
 def test_a_look_is_chosen_in_time() -> None:
     """Three tenths of a second of processor for view, way and certificate, kernels loaded; half as much again for a busy machine."""
     look()

@@ -231,7 +231,7 @@ def test_figures_are_plain_json() -> None:
             assert set(figures["trajectory"]) == {"joint_names", "dt_s", "positions", "velocities"}
 
 
-@pytest.mark.alone
+@pytest.mark.timed
 def test_deadline_is_kept() -> None:
     scene, T = problem("h01p429")
     for deadline_s in (0.8, 1.6):

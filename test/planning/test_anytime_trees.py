@@ -89,7 +89,7 @@ def test_the_tree_hands_costs_on_and_finds_paths_by_itself() -> None:
         assert outcome.final.integral_cost < 1.1 * OPTIMUM
 
 
-@pytest.mark.alone
+@pytest.mark.timed
 @pytest.mark.parametrize("algorithm", ["apf_rrt_star", "rrt_star"])
 def test_stops_at_once_and_keeps_its_deadline(algorithm: str) -> None:
     solve(algorithm, iterations=600)

@@ -334,7 +334,7 @@ def asked(run: Callable[[Callable[[], bool]], Any], stop_after_s: float) -> tupl
     return float(gaps.max(initial=0.0)), ended[0] - stopped[0][0], ended[1] - stopped[0][1]
 
 
-@pytest.mark.alone
+@pytest.mark.timed
 @pytest.mark.parametrize("kind", ["plane", "scan", "plant", "graded"])
 def test_stops_within_50_ms(kind: str) -> None:
     space, start, goals, options = problem(kind)
@@ -351,7 +351,7 @@ def test_stops_within_50_ms(kind: str) -> None:
         assert min(walls) < LATENCY_S, (after, results)
 
 
-@pytest.mark.alone
+@pytest.mark.timed
 @pytest.mark.parametrize("kind", ["plane", "scan", "graded"])
 @pytest.mark.parametrize("deadline_s", [0.1, 0.5])
 def test_keeps_its_deadline(kind: str, deadline_s: float) -> None:

@@ -213,7 +213,7 @@ def test_statuses() -> None:
     np.testing.assert_array_equal(near.path, [[10, 50], [12, 50]])
 
 
-@pytest.mark.alone
+@pytest.mark.timed
 def test_cancel_within_50_ms_and_deadline_within_10_percent() -> None:
     options = PaperOptions(algorithm="rrt_star", cost="integral", radius="rrg", propagate=True)
     late_s, over = [], []

@@ -141,7 +141,7 @@ def test_ends() -> None:
         solve(3, should_stop=lambda: (_ for _ in ()).throw(KeyboardInterrupt))
 
 
-@pytest.mark.alone
+@pytest.mark.timed
 @pytest.mark.parametrize("threads", [1, 2, 4])
 def test_stops_at_once_and_keeps_its_deadline(threads: int) -> None:
     solve(threads)

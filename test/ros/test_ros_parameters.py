@@ -20,7 +20,7 @@ from lime_planner.core.parameters import NODE_PARAMETERS, PARAMETERS, unknown_na
 from lime_planner.ros import qos
 from lime_planner.ros.parameters import NodeParameters, snapshot_from
 
-pytestmark = pytest.mark.alone
+pytestmark = pytest.mark.timed
 
 
 @pytest.fixture(scope="module")

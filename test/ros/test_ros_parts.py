@@ -24,7 +24,7 @@ from lime_planner.ros.model_loader import Loaded, ModelLoader
 from lime_planner.ros.runtime import Severity, Throttle
 from lime_planner.scene.scene import Scene
 
-pytestmark = pytest.mark.alone
+pytestmark = pytest.mark.timed
 
 
 def never() -> bool:

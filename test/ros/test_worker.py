@@ -12,7 +12,7 @@ from lime_planner.core.errors import Refusal
 from lime_planner.core.status import Status
 from lime_planner.ros.requests.worker import Answer, Ticket, Worker, answered_after
 
-pytestmark = pytest.mark.alone
+pytestmark = pytest.mark.timed
 
 DONE = Answer(Status.SUCCEEDED, "done")
 

@@ -153,7 +153,7 @@ def thin_by_sorting(points):
     np.unique((cells[:, 0] << 42) + (cells[:, 1] << 21) + cells[:, 2], return_index=True, return_inverse=True)
 
 
-@pytest.mark.alone
+@pytest.mark.timed
 @pytest.mark.parametrize("n", [100_000, 5_000_000])
 def test_a_scene_is_cleaned_in_the_time_of_one_plain_thinning(n):
     """Points taken in, cropped, lonely ones dropped, thinned as often as it takes: about 1.2 times what NumPy takes to thin once."""

@@ -204,7 +204,7 @@ def test_memory_grows_with_the_plant_and_not_with_its_box() -> None:
     assert most_held(far) < 2.2 * most_held(near)
 
 
-@pytest.mark.alone
+@pytest.mark.timed
 def test_a_map_is_made_in_time() -> None:
     """100,000 points at 5 mm within 60 ms, five views within 0.3 s; processor time."""
     plant = generate_plant(np.random.default_rng(0), PlantOptions(density="dense"))

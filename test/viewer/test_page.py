@@ -18,7 +18,7 @@ from lime_planner.viewer.debug_layers import slice_of
 from lime_planner.viewer.page import Page
 from lime_planner.viewer.scene_backend import SceneBackend
 
-pytestmark = pytest.mark.alone
+pytestmark = pytest.mark.timed
 
 
 @pytest.fixture(scope="module")

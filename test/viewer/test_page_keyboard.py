@@ -14,7 +14,7 @@ from lime_planner.viewer.backend import Activity
 from lime_planner.viewer.page import Page
 from lime_planner.viewer.scene_backend import SceneBackend
 
-pytestmark = pytest.mark.alone
+pytestmark = pytest.mark.timed
 
 #: Name of what has the focus, as a screen reader says it.
 FOCUSED = "(e => e.getAttribute('aria-label') || e.innerText?.trim() || '')(document.activeElement)"

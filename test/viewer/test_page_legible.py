@@ -18,7 +18,7 @@ from lime_planner.viewer.backend import Activity
 from lime_planner.viewer.page import Page
 from lime_planner.viewer.scene_backend import SceneBackend
 
-pytestmark = pytest.mark.alone
+pytestmark = pytest.mark.timed
 
 FOLDERS = ("Target", "Arm", "Plans", "How to search", "Show", "Legend")
 #: A folder that pictures of each state are put into, for a person to look at; none by default.

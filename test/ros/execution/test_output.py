@@ -19,7 +19,7 @@ from ros_harness import Bench, Program, code_of, execution_code, plan_id, progra
 from lime_planner.core.status import Status
 from lime_planner.ros.execution.output import Verdict
 
-pytestmark = pytest.mark.alone
+pytestmark = pytest.mark.timed
 
 SUCCESS = Verdict(Status.SUCCEEDED, "the controller reports success")
 

@@ -21,7 +21,7 @@ from lime_planner.ros import qos
 from lime_planner.ros.nodes import planner_node
 from lime_planner.ros.requests.status_board import Phase, read_status
 
-pytestmark = pytest.mark.alone
+pytestmark = pytest.mark.timed
 
 
 @pytest.fixture(name="make")

@@ -15,7 +15,7 @@ from lime_planner.robot.model import home, load_robot
 from lime_planner.ros.nodes.scene_cameras import WRIST_FRAME, arm_camera, fixed_cameras
 from lime_planner.scene.plants.generator import generate_plant
 
-pytestmark = pytest.mark.alone
+pytestmark = pytest.mark.timed
 
 SEED = 15
 READY_S = 600.0  # with a cold kernel cache

@@ -26,7 +26,7 @@ from lime_planner.motion.timing import time_path  # noqa: E402
 from lime_planner.robot.builtin import BUILTIN_ARMS  # noqa: E402
 from lime_planner.ros.convert import to_joint_trajectory  # noqa: E402
 
-pytestmark = pytest.mark.alone
+pytestmark = pytest.mark.timed
 
 LIMITS = np.full(6, 0.8)
 

@@ -14,7 +14,7 @@ from std_msgs.msg import String
 
 from lime_planner.ros import qos
 
-pytestmark = pytest.mark.alone
+pytestmark = pytest.mark.timed
 
 
 def test_requests_wait_for_the_warm_up_and_others_do_not() -> None:

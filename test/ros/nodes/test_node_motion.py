@@ -12,7 +12,7 @@ from fake_node import BACK, FORTH, SLOW, at_rest, fake_node
 from ros_fakes import cloud
 from ros_harness import Bench, code_of, execution_code, plan_id
 
-pytestmark = pytest.mark.alone
+pytestmark = pytest.mark.timed
 
 
 @pytest.fixture(scope="module")

@@ -19,7 +19,7 @@ from ros_harness import Bench, code_of, plan_id
 from sensor_msgs.msg import PointCloud2
 from std_srvs.srv import Trigger
 
-pytestmark = pytest.mark.alone
+pytestmark = pytest.mark.timed
 
 
 @pytest.fixture(scope="module")

@@ -12,7 +12,7 @@ import pytest
 from domains import DOMAIN
 from ros_harness import ROOT, environment
 
-pytestmark = pytest.mark.alone
+pytestmark = pytest.mark.timed
 
 PROGRAMS = ("planner_node", "scene_node", "mock_arm_node")
 

@@ -15,7 +15,7 @@ from ros_fakes import cloud
 from lime_planner.core.status import Status
 from lime_planner.ros.requests.worker import Answer
 
-pytestmark = pytest.mark.alone
+pytestmark = pytest.mark.timed
 
 
 @pytest.fixture(scope="module")

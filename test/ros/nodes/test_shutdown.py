@@ -10,7 +10,7 @@ from ros_harness import ROOT
 
 from benchmarks.node.shutdown import SIGNALS, run
 
-pytestmark = pytest.mark.alone
+pytestmark = pytest.mark.timed
 
 
 def test_every_signal_ends_the_node_cleanly(monkeypatch: pytest.MonkeyPatch) -> None:

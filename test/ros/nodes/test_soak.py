@@ -7,7 +7,7 @@ from domains import DOMAIN
 
 from benchmarks.node.soak import soak
 
-pytestmark = pytest.mark.alone
+pytestmark = pytest.mark.timed
 
 
 @pytest.mark.parametrize(
