@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from lime_planner.core.quick_open3d import open3d
 from lime_planner.core.types import Array, Float32
 from lime_planner.robot.model import Robot
 from lime_planner.scene.clean import clean_scene, remove_arm
@@ -30,13 +31,13 @@ class ArmSurface:
         Args:
             robot: the arm.
         """
-        import open3d
+        o3d = open3d()
 
         self._robot = robot
         self._bodies: list[tuple[int, Any, Array, Array]] = []
         for joint in sorted({link.joint for link in robot.links}):
             links = [link for link in robot.links if link.joint == joint]
-            scene = open3d.t.geometry.RaycastingScene(nthreads=1)
+            scene = o3d.t.geometry.RaycastingScene(nthreads=1)
             for link in links:
                 scene.add_triangles(link.vertices.astype(np.float32), link.triangles.astype(np.uint32))
             vertices = np.concatenate([link.vertices for link in links])

@@ -17,6 +17,7 @@ import numpy as np
 from lime_planner.core.atomic_files import replacing
 from lime_planner.core.cache_folder import cache_root
 from lime_planner.core.elsewhere import call_elsewhere
+from lime_planner.core.quick_open3d import open3d
 from lime_planner.core.types import Array, Float32, Int64
 from lime_planner.robot.meshes import LinkMesh
 
@@ -100,7 +101,7 @@ def _make_values(links: Sequence[LinkMesh], origin: Array, size: Int64) -> list[
 
 
 def _distance_values(link: LinkMesh, origin: Array, size: Int64) -> Float32:
-    import open3d as o3d
+    o3d = open3d()
     from scipy import ndimage
 
     axes = [origin[k] + PITCH_M * (np.arange(size[k]) + 0.5) for k in range(3)]

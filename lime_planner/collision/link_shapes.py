@@ -20,6 +20,7 @@ import numpy as np
 
 from lime_planner.core.atomic_files import replacing
 from lime_planner.core.cache_folder import cache_root
+from lime_planner.core.quick_open3d import open3d
 from lime_planner.core.types import Array, Float32, Int32, Int64
 from lime_planner.robot.kinematics import Chain
 from lime_planner.robot.model import LinkMesh, Robot
@@ -77,7 +78,7 @@ def signed_distance_grid(vertices: Array, triangles: Int32) -> tuple[Array, floa
     Returns:
         origin (3,), spacing, values (nx, ny, nz) float32 [m].
     """
-    import open3d as o3d
+    o3d = open3d()
     import scipy.ndimage
 
     low, high = vertices.min(axis=0) - GRID_PADDING_M, vertices.max(axis=0) + GRID_PADDING_M

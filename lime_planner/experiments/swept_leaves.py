@@ -16,6 +16,7 @@ import numpy.typing as npt
 
 from lime_planner.core.errors import SceneError
 from lime_planner.core.jit import kernel
+from lime_planner.core.quick_open3d import open3d
 from lime_planner.core.types import Array, Bool, Int64
 from lime_planner.motion.trajectory import Trajectory
 from lime_planner.robot.meshes import LinkMesh, bvh_of
@@ -240,7 +241,7 @@ def surface_of(link: LinkMesh) -> Any:
     """Return Open3D's (Embree's) tree of a link's triangles, which answers distances to the surface, built once for each link."""
     surface = _SURFACES.get(link)
     if surface is None:
-        import open3d as o3d
+        o3d = open3d()
 
         surface = o3d.t.geometry.RaycastingScene(nthreads=1)
         surface.add_triangles(o3d.core.Tensor(link.vertices.astype(np.float32)), o3d.core.Tensor(link.triangles.astype(np.uint32)))

@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial import cKDTree
 
+from lime_planner.core.quick_open3d import open3d
 from lime_planner.core.types import Array, Float32
 
 Image = Float32
@@ -82,7 +83,7 @@ def mesh_layer(view: View, vertices: npt.ArrayLike, triangles: npt.ArrayLike, co
         triangles: (T, 3) indices.
         colours: (T, 3) or (3,), 0 to 1.
     """
-    import open3d as o3d
+    o3d = open3d()
 
     height, width = view.shape
     layer = _empty(view)
@@ -209,7 +210,7 @@ def _normals(points: Array) -> Array:
     """Estimate the surface normals (N, 3) of a cloud."""
     if len(points) < 10:
         return np.tile([0.0, 0.0, 1.0], (len(points), 1))
-    import open3d as o3d
+    o3d = open3d()
 
     cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points))
     cloud.estimate_normals(o3d.geometry.KDTreeSearchParamHybrid(radius=0.012, max_nn=20))

@@ -11,6 +11,7 @@ import numpy.typing as npt
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
+from lime_planner.core.quick_open3d import open3d
 from lime_planner.core.types import Array, Bool, Float32, Int32, Int64
 from lime_planner.output.approach_lines import APPROACH_COLOURS, approach_lines
 from lime_planner.output.picture import ARM, FREE_PATH, LEAFY_PATH, LIME, STEM
@@ -156,7 +157,7 @@ class Plant:
 @cache
 def _drawn_meshes(robot: Robot) -> tuple[tuple[str, int, Array, Int32], ...]:
     """Return name, joint, vertices and triangles of each link, simplified for drawing."""
-    import open3d as o3d
+    o3d = open3d()
 
     meshes = []
     for link in robot.links:

@@ -12,6 +12,7 @@ from urllib.parse import parse_qs
 
 import numpy as np
 
+from lime_planner.core.quick_open3d import open3d
 from lime_planner.core.types import Array, Float32
 from lime_planner.output.timeline import Timeline
 from lime_planner.robot.model import Robot
@@ -172,7 +173,7 @@ def _first_point(points: Float32, ray: Ray) -> tuple[float, int]:
 
 def _caster(vertices: Any, triangles: Any) -> Any:
     """Make a mesh ready for rays."""
-    import open3d as o3d
+    o3d = open3d()
 
     caster = o3d.t.geometry.RaycastingScene(nthreads=1)
     caster.add_triangles(np.ascontiguousarray(vertices, dtype=np.float32), np.ascontiguousarray(triangles, dtype=np.uint32))
