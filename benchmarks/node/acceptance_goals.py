@@ -55,7 +55,7 @@ def examine(pipeline: Pipeline, scene: Scene, pose: np.ndarray, goals: int, rng:
             lost.append(f"no goal: {chosen.sentence}")
             continue
         anchored = obstacles.with_anchors(chosen.anchors, chosen.needs)
-        found = search(anchored, q, chosen, settings, seed=1, budget_s=settings.time_budget_s, should_stop=lambda: False)
+        found, chosen, _ = search(anchored, q, chosen, settings, seed=1, budget_s=settings.time_budget_s, should_stop=lambda: False)
         if found.path is None:
             lost.append(found.status.name)
         elif not independent.certify(sample_path(found.path, STEP_RAD)[0]).ok:

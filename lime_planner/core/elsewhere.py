@@ -1,4 +1,4 @@
-"""Calls in a process of their own, for what would hold the interpreter from other threads for long.
+"""How many processors there are, and calls in a process of their own, for what would hold the interpreter from other threads for long.
 
 Open3D's distances, FCL's and Pinocchio's models keep Python's lock for seconds; a node that computed them in one of its threads could
 not serve a stop meanwhile. Waiting for another process keeps no lock. A program without other threads computes at once.
@@ -7,6 +7,7 @@ not serve a stop meanwhile. Waiting for another process keeps no lock. A program
 from __future__ import annotations
 
 import importlib
+import math
 import os
 import pickle
 import subprocess
@@ -14,6 +15,7 @@ import sys
 import tempfile
 import threading
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, TypeVar
 
 from lime_planner.core.errors import LimePlannerError, Refusal
@@ -22,6 +24,7 @@ from lime_planner.core.status import Status
 T = TypeVar("T")
 
 _POLL_S = 0.02
+_CGROUP = Path("/sys/fs/cgroup")
 
 # Not multiprocessing's spawn, which would run the main module of a program that uses this package as a library once more.
 _CHILD = "import pickle, sys; sys.path[:] = pickle.load(sys.stdin.buffer); from lime_planner.core.elsewhere import _serve; _serve()"
@@ -83,3 +86,30 @@ def _serve() -> None:
         result = False, error
     pickle.dump(result, outcome, protocol=5)
     outcome.close()
+
+
+def usable_cores(cgroup: Path = _CGROUP) -> int:
+    """Return the number of processors this process may use, at least 1: a container's quota counts, and a processor affinity.
+
+    Args:
+        cgroup: where the kernel says what a container may use.
+    """
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return max(1, math.floor(min(cores, _quota(cgroup))))
+
+
+def _quota(cgroup: Path) -> float:
+    """Return the processors that a container's quota amounts to (version 2 of control groups, then 1); inf without one."""
+    try:
+        texts = (cgroup / "cpu.max").read_text(encoding="ascii").split()
+    except (OSError, UnicodeDecodeError):
+        try:
+            folder = cgroup / "cpu"
+            texts = [(folder / f"cpu.cfs_{name}_us").read_text(encoding="ascii").strip() for name in ("quota", "period")]
+        except (OSError, UnicodeDecodeError):
+            return math.inf
+    try:
+        quota, period = (float(text) for text in texts)
+    except ValueError:  # "max": no quota
+        return math.inf
+    return quota / period if quota > 0.0 and period > 0.0 else math.inf

@@ -52,7 +52,7 @@ def search_tree_of(pipeline: Pipeline, shown: PlanRecord, *, should_stop: Callab
     goals = goals_of(obstacles, obstacles.exact_checker(), aim, q, np.random.default_rng(result.seed), should_stop)
     tree = no_tree()
     if len(goals.configurations):
-        outcome = search(
+        outcome, _, _ = search(
             obstacles.with_anchors(goals.anchors, goals.needs),
             q,
             goals,

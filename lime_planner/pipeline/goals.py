@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import collections
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -59,6 +60,7 @@ class Goals:
         poses: (G, 4, 4) T_base_tool at the grasps.
         tried, free: numbers of approaches.
         approaches: what became of them, None where there was nothing to choose.
+        more: makes these goals and dearer ones, for a search that finds no way to these; None where there are no more.
     """
 
     configurations: Array
@@ -73,6 +75,7 @@ class Goals:
     tried: int = 0
     free: int = 0
     approaches: Approaches | None = None
+    more: Callable[[], Goals] | None = None
 
     def behind(self, q: Array) -> tuple[int, Array]:
         """Return which goal is at a path's end q (n,), and the way from there to its grasp, (K, n)."""

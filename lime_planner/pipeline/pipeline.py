@@ -295,7 +295,7 @@ class Pipeline:
             sliding = worth_sliding(goals, aim, settings)
             slide_s = None if budget is None else SHARE * budget if sliding else 0.0
             search_s = None if budget is None or slide_s is None else budget - slide_s
-            found = search(wider, q, goals, settings, seed=seed + attempt, budget_s=search_s, should_stop=should_stop)
+            found, goals, wider = search(wider, q, goals, settings, seed=seed + attempt, budget_s=search_s, should_stop=should_stop)
             iterations[0] += found.iterations
             counts["configurations_checked"] = counts.get("configurations_checked", 0) + found.checks
             if np.isfinite(found.first_path_s):

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import dataclasses
+import time
 from collections.abc import Callable
 
 from lime_planner.collision.joint_space import ArmSpace
-from lime_planner.core.cores import usable_cores
+from lime_planner.core.elsewhere import usable_cores
 from lime_planner.core.parameters import Settings
+from lime_planner.core.status import Status
 from lime_planner.core.types import Array
-from lime_planner.pipeline.goals import Goals, sampling_box
+from lime_planner.pipeline.goals import Goals, sampling_box, tight_anchors
 from lime_planner.pipeline.obstacles import Obstacles
 from lime_planner.planning.planner import Outcome, Query, load_planner
 
+# Of the budget, while there is no path and there are more goals: most first paths are found within some thousandths of a second.
+_PATIENCE = 0.25
 _MOST_THREADS = 8  # by default: more find little more, and what of a search is Python they do one after another
 
 
@@ -35,8 +40,8 @@ def search(
     seed: int,
     budget_s: float | None,
     should_stop: Callable[[], bool],
-) -> Outcome:
-    """Run the search that the settings name.
+) -> tuple[Outcome, Goals, Obstacles]:
+    """Run the search that the settings name; where no way leads to the goals and there are more, once more with those.
 
     Args:
         obstacles: with the anchors of start and goals.
@@ -44,9 +49,38 @@ def search(
         goals: at least one.
         settings: planner, iterations, gains.
         seed: of this plan.
-        budget_s: search time [s]; None where the iterations limit it.
+        budget_s: search time of all [s]; None where the iterations limit it.
         should_stop: cancels.
+
+    Returns:
+        What was found, the goals it was found among, and the obstacles with their anchors.
     """
+    began_s = time.monotonic()
+    patience = 1.0 if goals.more is None else _PATIENCE
+    first = _search(obstacles, q_start, goals, settings, seed=seed, budget_s=budget_s, should_stop=should_stop, patience=patience)
+    if first.path is not None or goals.more is None or first.status not in (Status.NO_PATH, Status.TIMED_OUT):
+        return first, goals, obstacles
+    more = goals.more()
+    obstacles = obstacles.with_anchors(*tight_anchors(obstacles, more.configurations, q_start))
+    left_s = None if budget_s is None else max(budget_s - (time.monotonic() - began_s), 0.0)
+    left = dataclasses.replace(settings, iterations=max(settings.iterations - first.iterations, 1)) if settings.iterations else settings
+    then = _search(obstacles, q_start, more, left, seed=seed, budget_s=left_s, should_stop=should_stop, patience=1.0)
+    both = dataclasses.replace(then, iterations=first.iterations + then.iterations, checks=first.checks + then.checks)
+    return both, more, obstacles
+
+
+def _search(
+    obstacles: Obstacles,
+    q_start: Array,
+    goals: Goals,
+    settings: Settings,
+    *,
+    seed: int,
+    budget_s: float | None,
+    should_stop: Callable[[], bool],
+    patience: float,
+) -> Outcome:
+    """Search once; `patience` is the share of the budget after which a search that has found no path may end."""
     lower, upper = sampling_box(obstacles, q_start, goals.configurations)
     planner = load_planner(settings.planner)
 
@@ -61,6 +95,7 @@ def search(
         terminal_costs=goals.costs,
         iterations=settings.iterations or None,
         deadline_s=budget_s,
+        patience=patience,
         should_stop=should_stop,
         threads=threads_of(settings),
         another_space=space,

@@ -7,7 +7,7 @@ import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any, Generic, Literal, TypeVar
+from typing import Any, Generic, Literal, Protocol, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -23,6 +23,13 @@ OptionsT = TypeVar("OptionsT")
 Metric = Literal["integral", "node"]
 
 
+class Limit(Protocol):
+    """Tells whether a search is over, by its iterations, and by whether it has a path where that counts (`Query.patience`)."""
+
+    def __call__(self, iterations: int, found: bool = True) -> Status | None:
+        """Return what the end would mean without a path: CANCELLED, NO_PATH, TIMED_OUT; None while the search may go on."""
+
+
 @dataclass(frozen=True, eq=False)
 class Query:
     """What a planner is asked.
@@ -35,6 +42,7 @@ class Query:
         terminal_costs: (G,) what ending at each goal adds to the cost; None: nothing.
         iterations: budget of sampled configurations of each thread; None for none.
         deadline_s: search time from the call on [s]; None for none.
+        patience: share of these budgets after which a search that has found no path may end.
         should_stop: True ends the search; to be asked every few milliseconds, in the calling thread. None: never.
         threads: searches side by side at most.
         another_space: makes another space like `space` with memory of its own, for a further thread; None: one thread alone.
@@ -47,27 +55,28 @@ class Query:
     terminal_costs: Array | None = None
     iterations: int | None = None
     deadline_s: float | None = None
+    patience: float = 1.0
     should_stop: Callable[[], bool] | None = None
     threads: int = 1
     another_space: Callable[[], Any] | None = None
 
-    def limit(self) -> Callable[[int], Status | None]:
-        """Start the clock of this query, and return what tells a number of iterations whether the search is over.
-
-        The status is what the end would mean without a path: CANCELLED, NO_PATH, TIMED_OUT; None while the search may go on.
-        """
+    def limit(self) -> Limit:
+        """Start the clock of this query, and return what tells whether the search is over."""
         began_s = time.monotonic()
 
-        def ended(iterations: int) -> Status | None:
+        def ended(iterations: int, found: bool = True) -> Status | None:
             if self.should_stop is not None and self.should_stop():
                 return Status.CANCELLED
-            if self.iterations is not None and iterations >= self.iterations:
-                return Status.NO_PATH
-            if self.deadline_s is not None and time.monotonic() - began_s >= self.deadline_s:
-                return Status.TIMED_OUT
-            return None
+            return budget_spent(self.iterations, self.deadline_s, 1.0 if found else self.patience, iterations, time.monotonic() - began_s)
 
         return ended
+
+
+def budget_spent(budget: int | None, deadline_s: float | None, share: float, iterations: int, elapsed_s: float) -> Status | None:
+    """Return NO_PATH or TIMED_OUT once a share of the iterations or of the time is over, whichever there is; else None."""
+    if budget is not None and iterations >= share * budget:
+        return Status.NO_PATH
+    return Status.TIMED_OUT if deadline_s is not None and elapsed_s >= share * deadline_s else None
 
 
 @dataclass(frozen=True, eq=False)

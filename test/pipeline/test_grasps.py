@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 from functools import cache
 from typing import Any
@@ -15,6 +16,7 @@ from lime_planner.collision.exact import ExactChecker
 from lime_planner.core.errors import Refusal
 from lime_planner.core.status import Status
 from lime_planner.pipeline import PlanResult
+from lime_planner.pipeline import pipeline as core
 from lime_planner.pipeline.figures import sample_path
 from lime_planner.pipeline.goals import DEARER, FREE, HAND_BLOCKED, Goals
 from lime_planner.pipeline.grasps import kernels
@@ -148,6 +150,41 @@ def test_refusals_count_what_became_of_the_approaches() -> None:
     assert "approaches tried" in refused.sentence and "blocked, most often through the branch at" in refused.sentence
     exact = goals(caged, pose_target([*centre, 0.0, 0.7071, 0.0, 0.7071]), target_exclusion_radius_m=0.0)
     assert exact.status is not None and "the fruit itself as the target, leaves the approach open" in exact.sentence
+
+
+def test_where_nothing_is_free_it_looks_around_what_lacks_least() -> None:
+    scene = plant(10, "dense")
+    assert scene.fruit_centres is not None
+    target = fruit_target(scene.fruit_centres[0])
+    even = goals(scene, target, seed=1, max_grasps=1)
+    assert even.status is Status.GOAL_IN_STEM and even.tried == 1
+    tried = [goals(scene, target, seed=seed) for seed in range(1, 7)]
+    assert all(found.status is None for found in tried), [found.sentence for found in tried]
+    # Some needed more than the approaches that are spread evenly: then no more are tried than allowed.
+    assert max(found.tried for found in tried) > 360 and all(found.tried <= 1000 for found in tried)
+
+
+def test_where_no_way_leads_to_the_cheapest_grasps_dearer_ones_are_searched_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = plant(67)
+    assert scene.fruit_centres is not None and scene.target_pose is not None
+    centre = scene.fruit_centres[np.linalg.norm(scene.fruit_centres - scene.target_pose[:3], axis=1).argmin()]
+    used, target, robot = settings(iterations=16_000), fruit_target(centre), robot_named(J2S)
+    few = goals(scene, target, seed=1)
+    assert few.status is None and few.more is not None
+    more = few.more()
+    assert more.status is None and more.more is None
+    distinct = [len(np.unique(found.poses.round(9), axis=0)) for found in (few, more)]
+    assert distinct[0] < distinct[1] <= used.max_goals
+    assert more.costs.max() > few.costs.max()
+    result = pipeline_of(J2S).plan(scene, target, robot.home, used, seed=1)
+    assert result.succeeded, result.message
+    assert result.iterations <= 16_500
+    # A search that finds a path at once never asks for them.
+    asked = []
+    easy = dataclasses.replace(few, more=lambda: asked.append(1))
+    monkeypatch.setattr(core, "goals_of", lambda *_: easy)
+    free = scene_of([[0.0, 0.0, 1.8]])
+    assert pipeline_of(J2S).plan(free, target, robot.home, settings(iterations=300), seed=1).succeeded and not asked
 
 
 def test_candidates_and_freedom() -> None:

@@ -44,7 +44,7 @@ def _searched(target: Target) -> tuple[Obstacles, Goals, np.ndarray]:
     goals = goals_of(obstacles, obstacles.exact_checker(), target, robot.home, np.random.default_rng(1))
     assert goals.status is None, goals.sentence
     obstacles = obstacles.with_anchors(goals.anchors, goals.needs)
-    found = search(obstacles, robot.home, goals, USED, seed=1, budget_s=None, should_stop=lambda: False)
+    found, goals, obstacles = search(obstacles, robot.home, goals, USED, seed=1, budget_s=None, should_stop=lambda: False)
     assert found.path is not None
     return obstacles, goals, found.path
 

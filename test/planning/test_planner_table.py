@@ -49,6 +49,18 @@ def test_a_planner_keeps_the_protocol(name: str) -> None:
         assert len(first.history) and all(b[2] < a[2] for a, b in itertools.pairwise(first.history))
     stopped = planner.run(Query(world.space(), start, goals, 7, should_stop=lambda: True), options)
     assert stopped.status is Status.CANCELLED
+    if planner.anytime:  # impatient where no way leads, and only there
+        across = PlaneWorld(
+            "across",
+            (0.0, 0.0),
+            (100.0, 100.0),
+            start=(10.0, 50.0),
+            goal=(90.0, 50.0),
+            impermeable=(((40.0, -1.0), (60.0, -1.0), (60.0, 101.0), (40.0, 101.0)),),
+        )
+        short = planner.run(Query(across.space(), start, goals[1:], 7, iterations=4000, patience=0.25), options)
+        assert short.path is None and short.status is Status.NO_PATH and 1000 <= short.iterations < 2500
+        assert planner.run(Query(world.space(), start, goals[1:], 7, iterations=4000, patience=0.25), options).iterations >= 4000
     late = planner.run(Query(world.space(), start, goals[:1], 7, deadline_s=0.05), options)
     assert late.status is Status.GOAL_IN_STEM and late.path is None
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lime_planner.core.cores import usable_cores
+from lime_planner.core.elsewhere import usable_cores
 from lime_planner.core.parameters import settings_from
 from lime_planner.core.status import Status
 from lime_planner.core.types import Array

@@ -17,7 +17,7 @@ from typing import Generic, TypeVar
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from lime_planner.core.cores import usable_cores
+from lime_planner.core.elsewhere import usable_cores
 from lime_planner.core.errors import LimePlannerError
 
 Task = TypeVar("Task")

@@ -79,7 +79,7 @@ def _straightened(obstacles: Obstacles, T_base_tool: Array, q_start: Array, goal
 
 def _with_turns(obstacles: Obstacles, grasps: Grasps, target: Target, q_start: Array, checker: ExactChecker) -> Goals:
     """Make goals of free grasps: each as near to the start as it can be, and some with further turns of the joints."""
-    approaches = grasps.approaches
+    approaches, more = grasps.approaches, grasps.more
     n, tried = obstacles.robot.n, len(approaches.poses)
     free = int((approaches.outcomes == FREE).sum())
     if not len(grasps.costs):
@@ -113,6 +113,7 @@ def _with_turns(obstacles: Obstacles, grasps: Grasps, target: Target, q_start: A
         tried=tried,
         free=free,
         approaches=approaches,
+        more=None if more is None else lambda: _with_turns(obstacles, more(), target, q_start, checker),
     )
 
 

@@ -12,6 +12,7 @@ import heapq
 import itertools
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -32,11 +33,13 @@ from lime_planner.scene.voxels import thin
 STEP_M = 0.01  # of a stretch
 MISSING_COST = 1e4  # per metre that a stretch is shorter than wanted [rad/m]
 
+_DEEPEST_M = 0.05  # blocked hands that reach deeper into something hard than this are all the same
 _STATIONS = 4  # places of the hand on the shortest stretch that counts
 # Shares of the approaches: those that are spread evenly, then rounds of such that fall near the cheapest. The last ones are for fruit at
 # which even the cheapest touches leaves.
 _SHARES, _FREE_SHARES = (0.36, 0.12, 0.12, 0.2, 0.2), 3
 _PARENTS = 24  # cheapest configurations around which more are tried in the first of these rounds; then half as many
+_AROUND_BLOCKED = ((48, 0.2), (24, 0.15), (12, 0.1), (12, 0.1))  # while nothing is free: around so many, so far from them [rad]
 _TURN_RAD = 0.25  # how far from them, in the first round; then half as far
 # The leaf area that the arm lies in at the grasp costs as much as so much leaf contact: touching one leaf for longer is better than five
 # at once, which J alone takes for alike.
@@ -59,6 +62,7 @@ class Grasps:
         costs: (G,) J of the stretch with what is added for what it lacks, and for the leaf area touched at the grasp.
         approach: (G,) which approach each belongs to.
         approaches: all that were tried.
+        more: makes these and dearer ones, further apart: the cheapest may all lie where no way leads. None where there are no more.
     """
 
     stretches: Array
@@ -66,6 +70,7 @@ class Grasps:
     costs: Array
     approach: Int64
     approaches: Approaches
+    more: Callable[[], Grasps] | None = None
 
 
 class Trials:
@@ -109,19 +114,35 @@ class Trials:
 
     def hand_free(self, poses: Array) -> Bool:
         """Tell which of the poses (P, 4, 4) leave the hand free on the shortest stretch that counts, (P,)."""
+        need = self.close_world.world.margin
         free = np.ones(len(poses), dtype=bool)
-        T_tool_joint = np.linalg.inv(np.vstack([self.robot.chain.tool, [0.0, 0.0, 0.0, 1.0]]))
-        for back_m in np.linspace(0.0, self.least_m, _STATIONS if self.least_m > 0.0 else 1):
-            ask(self.should_stop)
+        for back_m in self._stations():
             left = np.flatnonzero(free)
-            frames = poses[left] @ T_tool_joint
-            frames[:, :3, 3] -= back_m * poses[left, :3, 2]
-            clearances = np.zeros(len(left))
-            rows = np.ascontiguousarray(frames[:, :3])
-            shapes, world = self.obstacles.shapes, self.close_world.world
-            hand_clearances(shapes, world, self.scratch, self.state, rows, world.margin, clearances)
-            free[left] = clearances >= world.margin
+            free[left] = self._hand_clearances(poses[left], back_m, need) >= need
         return free
+
+    def least_blocked(self, count: int) -> Int64:
+        """Return which refused approaches to look around, the most promising first: those free for the hand, then by its clearance."""
+        refused = np.flatnonzero((self.outcomes == HAND_BLOCKED) | (self.outcomes == ARM_BLOCKED) | (self.outcomes == NO_ROOM))
+        poses, clearance = self.poses[refused], np.zeros(len(refused))
+        blocked = np.flatnonzero(self.outcomes[refused] == HAND_BLOCKED)
+        for back_m in self._stations():
+            clearance[blocked] = np.minimum(clearance[blocked], self._hand_clearances(poses[blocked], back_m, -_DEEPEST_M))
+        return refused[np.argsort(-clearance, kind="stable")[:count]]
+
+    def _stations(self) -> Array:
+        """Return how far back along the shortest stretch that counts the hand is looked at [m]."""
+        return np.linspace(0.0, self.least_m, _STATIONS if self.least_m > 0.0 else 1)
+
+    def _hand_clearances(self, poses: Array, back_m: float, need_m: float) -> Array:
+        """Return the hand's clearances at poses (P, 4, 4), drawn back by so much, (P,): exact near `need_m`, below it anything [m]."""
+        ask(self.should_stop)
+        frames = poses @ np.linalg.inv(np.vstack([self.robot.chain.tool, [0.0, 0.0, 0.0, 1.0]]))
+        frames[:, :3, 3] -= back_m * poses[:, :3, 2]
+        clearances = np.zeros(len(poses))
+        rows = np.ascontiguousarray(frames[:, :3])
+        hand_clearances(self.obstacles.shapes, self.close_world.world, self.scratch, self.state, rows, need_m, clearances)
+        return clearances
 
     def add(self, poses: Array, seeds: Array | None = None) -> None:
         """Try approaches (P, 4, 4).
@@ -257,6 +278,10 @@ class Trials:
             else:
                 yield int(i)
 
+    def _beyond(self, wanted: int) -> Iterator[int]:
+        """Yield the free stretches that `ranked` leaves out, cheapest first: the cheapest may all lie where no way leads."""
+        yield from np.argsort(self.totals, kind="stable")[_WEIGHED * wanted :].tolist()
+
     def _touched_m2(self, q: Array) -> float:
         """Leaf area (one side) that the arm lies in at q (n,), by the cells that hold touched points [m²]."""
         table = self.obstacles.world.fields.leaves
@@ -273,11 +298,17 @@ class Trials:
         way = np.vstack([self.stretches[best, : self.counts[best]], self.q_start])
         return bool(self.totals[best] > np.linalg.norm(np.diff(way, axis=0), axis=1).sum() + kernels.CLOSE_COST + 1e-6)
 
-    def certified(self, wanted: int) -> Grasps:
-        """Evaluate the most promising stretches along every edge until `wanted` are free that differ from each other."""
+    def certified(self, wanted: int, *, beyond: bool = False) -> Grasps:
+        """Evaluate the most promising stretches along every edge until `wanted` are free that differ from each other.
+
+        Args:
+            wanted: how many at most.
+            beyond: go on with dearer ones than `ranked` has, until there are so many.
+        """
         chosen: list[int] = []
         costs: list[float] = []
-        for looked, i in enumerate(self.ranked(wanted)):
+        rows = itertools.chain(self.ranked(wanted), self._beyond(wanted)) if beyond else self.ranked(wanted)
+        for looked, i in enumerate(rows):
             if len(chosen) == wanted:
                 break
             if looked % _IN_ONE_GO == 0:
@@ -291,9 +322,11 @@ class Trials:
                 cost = kernels.price(self.close_space, self.stretches[i], count, self.weight, np.inf) + kernels.CLOSE_COST
             if np.isfinite(cost):
                 chosen.append(int(i))
-                costs.append(float(cost + self.missing_cost(count) + self.area_costs[i]))
+                costs.append(float(cost + self.missing_cost(count) + np.nan_to_num(self.area_costs[i])))
         approaches = Approaches(self.poses, self.outcomes, np.array(self.blocked).reshape(-1, self.robot.n))
-        return Grasps(self.stretches[chosen], self.counts[chosen], np.array(costs), self.approach[chosen], approaches)
+        left = not beyond and len(chosen) < wanted and len(self.totals) > _WEIGHED * wanted
+        more = partial(self.certified, wanted, beyond=True) if left else None
+        return Grasps(self.stretches[chosen], self.counts[chosen], np.array(costs), self.approach[chosen], approaches, more)
 
 
 def follow_back(obstacles: Obstacles, T_base_tool: Array, q_start: Array, configurations: Array) -> tuple[list[Array], Array]:
@@ -366,15 +399,22 @@ def find_grasps(
     trials.add(_placed(in_cone(axis, cone_rad, points), target.centre))
     parents = _PARENTS
     for number, share in enumerate(_SHARES[1:], start=1):
-        if number >= _FREE_SHARES and not trials.touches_leaves():
-            break
         best, count = list(itertools.islice(trials.ranked(parents), parents)), int(share * settings.max_grasps)
-        if not best or not count:
+        if not count or (number >= _FREE_SHARES and best and not trials.touches_leaves()):
             break
-        chosen = np.resize(best, count)
-        turns = around(trials.poses[trials.approach[chosen], :3, :3], axis, cone_rad, _TURN_RAD / 2.0 ** (number - 1), rng)
-        trials.add(_placed(turns, target.centre), trials.stretches[chosen, 0])
-        parents = max(1, parents // 2)
+        if best:
+            chosen = np.resize(best, count)
+            turns = around(trials.poses[trials.approach[chosen], :3, :3], axis, cone_rad, _TURN_RAD / 2.0 ** (number - 1), rng)
+            trials.add(_placed(turns, target.centre), trials.stretches[chosen, 0])
+            parents = max(1, parents // 2)
+            continue
+        # Nothing is free yet: look around what lacks least, the hand first.
+        around_few, turn_rad = _AROUND_BLOCKED[number - 1]
+        blocked = trials.least_blocked(around_few)
+        if not len(blocked):
+            break
+        turns = around(trials.poses[np.resize(blocked, count), :3, :3], axis, cone_rad, turn_rad, rng)
+        trials.add(_placed(turns, target.centre))
     return trials.certified(wanted)
 
 

@@ -45,6 +45,7 @@ class LimeStar(Planner[LimeOptions]):
             iterations=query.iterations,
             should_stop=query.should_stop,
             deadline_s=query.deadline_s,
+            patience=query.patience,
             threads=query.threads,
             another_space=query.another_space,
         )

@@ -33,7 +33,7 @@ from lime_planner.planning.lime_star.options import LimeOptions, LimeOutcome
 from lime_planner.planning.lime_star.run import Run
 from lime_planner.planning.lime_star.side_by_side import Exchange, merged_history, search_all
 from lime_planner.planning.lime_star.tracks import MAX_WAYPOINTS
-from lime_planner.planning.planner import checked_ends, checked_limits
+from lime_planner.planning.planner import budget_spent, checked_ends, checked_limits
 from lime_planner.planning.sampling import below, draw_between, draw_in_box, normal, uniform
 from lime_planner.planning.space import clamp, distance, evaluate, inside, one, raise_pending
 
@@ -123,6 +123,7 @@ def plan_lime(
     iterations: int | None = None,
     should_stop: Callable[[], bool] | None = None,
     deadline_s: float | None = None,
+    patience: float = 1.0,
     threads: int = 1,
     another_space: Callable[[], Any] | None = None,
 ) -> LimeOutcome:
@@ -140,6 +141,7 @@ def plan_lime(
         iterations: budget of sampled configurations of each thread, None for none.
         should_stop: True ends the search; asked every few milliseconds, by the calling thread.
         deadline_s: search time from the call on [s], None for none.
+        patience: share of these budgets after which a search without a path ends.
         threads: searches side by side.
         another_space: makes another space like `space` with memory of its own, for the further threads; without it there is one.
 
@@ -171,9 +173,8 @@ def plan_lime(
             ended[:] = [Status.CANCELLED]
 
     def limit(run: Run) -> Status | None:
-        if iterations is not None and run.iterations >= iterations:
-            return Status.NO_PATH
-        return Status.TIMED_OUT if deadline_s is not None and run.elapsed() >= deadline_s else None
+        share = patience if run.best_path is None else 1.0
+        return budget_spent(iterations, deadline_s, share, run.iterations, run.elapsed())
 
     def first_over(run: Run) -> bool:
         raise_pending(space)

@@ -94,7 +94,7 @@ def plan_anytime(query: Query, options: PaperOptions, weight: float) -> Outcome:
 
     def over(run: Run) -> bool:
         raise_pending(query.space)
-        status = limit(run.iterations)
+        status = limit(run.iterations, run.best_path is not None)
         if status is not None:
             ended.append(status)
         return bool(ended)
