@@ -24,6 +24,7 @@ from sensor_msgs.msg import JointState, PointCloud2
 from std_msgs.msg import String
 from visualization_msgs.msg import MarkerArray
 
+import lime_planner.motion.profile  # noqa: F401 (now, while there are no threads yet: later it would import Matplotlib as well)
 from lime_planner.collision.arm_filter import make_arm_filter
 from lime_planner.core.errors import LimePlannerError, Refusal
 from lime_planner.core.status import Status
