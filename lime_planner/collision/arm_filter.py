@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 from functools import partial
 from typing import Any
 
@@ -23,25 +24,29 @@ _PART = 2000
 
 
 class ArmSurface:
-    """The arm's collision meshes, one body for each joint, ready for distance queries. Building takes some 0.1 s."""
+    """The arm's collision meshes, one body for each joint, for distance queries. The first one takes some 0.4 s more: Open3D, and trees."""
 
     def __init__(self, robot: Robot) -> None:
-        """Build one search tree for each body.
+        """Keep the arm.
 
         Args:
             robot: the arm.
         """
-        o3d = open3d()
-
         self._robot = robot
-        self._bodies: list[tuple[int, Any, Array, Array]] = []
-        for joint in sorted({link.joint for link in robot.links}):
-            links = [link for link in robot.links if link.joint == joint]
+
+    @functools.cached_property
+    def _bodies(self) -> list[tuple[int, Any, Array, Array]]:
+        """Joint, search tree, and both corners of each body; made when first asked for, so that a node that only waits stays small."""
+        o3d = open3d()
+        bodies = []
+        for joint in sorted({link.joint for link in self._robot.links}):
+            links = [link for link in self._robot.links if link.joint == joint]
             scene = o3d.t.geometry.RaycastingScene(nthreads=1)
             for link in links:
                 scene.add_triangles(link.vertices.astype(np.float32), link.triangles.astype(np.uint32))
             vertices = np.concatenate([link.vertices for link in links])
-            self._bodies.append((joint, scene, vertices.min(axis=0), vertices.max(axis=0)))
+            bodies.append((joint, scene, vertices.min(axis=0), vertices.max(axis=0)))
+        return bodies
 
     def distance(self, points: npt.ArrayLike, q: npt.ArrayLike, *, within_m: float = FAR_M, unsigned_below_m: float = 0.0) -> Array:
         """Return each point's distance from the nearest surface of the arm [m], negative inside, at most `within_m`.

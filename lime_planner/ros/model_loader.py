@@ -17,7 +17,7 @@ from lime_planner.motion import stop
 from lime_planner.output.console import compile_first
 from lime_planner.pipeline import Pipeline
 from lime_planner.robot.model import Robot, load_robot, robot_from_urdf
-from lime_planner.ros.runtime import BackgroundThread, Severity
+from lime_planner.ros.runtime import BackgroundThread, Severity, give_back
 
 #: `robot` parameter that asks for the model from the topic `robot_description`.
 FROM_TOPIC = "topic"
@@ -198,6 +198,7 @@ class ModelLoader(BackgroundThread):
             with self._condition:
                 self._warm, self.state = True, "ready"
                 self._condition.notify_all()
+            give_back()  # what reading and loading the kernels took
             for sentence in loaded.robot.warnings:
                 self._report(Severity.WARN, f"the robot description is suspicious: {sentence}")
             self._report(Severity.OK, f"ready to plan for {loaded.robot.name} after {time.monotonic() - began_s:.1f} s")
