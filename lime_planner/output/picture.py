@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,7 +16,21 @@ from lime_planner.core.errors import ParameterError
 from lime_planner.core.geometry import matrix_to_pose
 from lime_planner.core.types import Array, Float32, Int64
 from lime_planner.output.console import headline
+from lime_planner.output.refusal_marks import (
+    BLOCKED,
+    InRed,
+    boxes_shown,
+    draw_boxes,
+    draw_contact,
+    draw_reach,
+    legend_entries,
+    link_colours,
+    point_to,
+    within_sight,
+    wrapped,
+)
 from lime_planner.output.render import Image, Layer, View, cloud_layer, compose, halved, mesh_layer
+from lime_planner.pipeline.in_the_way import InTheWay, in_the_way_of
 from lime_planner.pipeline.obstacles import UNSEEN_VOXEL_M
 from lime_planner.pipeline.result import PlanResult
 from lime_planner.robot.model import Robot
@@ -42,10 +57,13 @@ _LEAF_OVER_ARM = 0.42  #: leaves in front of the arm let it shine through
 _MARGIN_M = 0.06
 _UNSEEN_DEPTH_M = 0.1  #: along the view, from which on unseen space is hatched
 _PANEL_PIXELS = 800  #: height of the views, before halving
+_AROUND_TARGET_M = 0.06  #: that is in sight, for its ring
+_WIDEST_INCHES, _NARROWEST_INCHES = 14.0, 8.5  #: of both views; of the picture, for its legend
+_LINE_INCHES = 0.185  #: of the sentence
 
 
 def draw_plan(result: PlanResult, scene: Scene, robot: Robot, path: str | os.PathLike[str]) -> Path:
-    """Draw plant, arm and the tool's path, coloured by leaf contact, from the side and from above.
+    """Draw plant, arm and the tool's path, coloured by leaf contact, from the side and from above; of a refused plan what is in the way.
 
     Args:
         result: a plan, found or refused.
@@ -60,6 +78,7 @@ def draw_plan(result: PlanResult, scene: Scene, robot: Robot, path: str | os.Pat
         ParameterError: see `draw_picture`.
     """
     found = len(result.waypoints) > 0
+    target = None if result.target is None else result.target.centre if result.target.kind == "fruit" else result.target.shown_pose()
     return draw_picture(
         path,
         scene,
@@ -68,8 +87,11 @@ def draw_plan(result: PlanResult, scene: Scene, robot: Robot, path: str | os.Pat
         q_goal=result.waypoints[-1] if found else None,
         tool_path=result.tool_path if found else None,
         tool_leaf=result.tool_leaf if found else None,
-        target_pose=None if result.T_base_tool is None else matrix_to_pose(result.T_base_tool),
+        target_pose=target if result.T_base_tool is None else matrix_to_pose(result.T_base_tool),
         title=headline(result.figures()) if result.succeeded else result.status.name,
+        sentence="" if result.succeeded else result.message.partition(": ")[2],
+        blocked=in_the_way_of(robot, scene, result),
+        keep_out_boxes=result.parameters.get("keep_out_boxes", ()),
     )
 
 
@@ -84,6 +106,9 @@ def draw_picture(
     tool_leaf: npt.ArrayLike | None = None,
     target_pose: npt.ArrayLike | None = None,
     title: str = "",
+    sentence: str = "",
+    blocked: InTheWay | None = None,
+    keep_out_boxes: npt.ArrayLike = (),
 ) -> Path:
     """Draw a side view and a top view and write them to a file; a reader never sees half of it.
 
@@ -95,8 +120,11 @@ def draw_picture(
         q_goal: (n,) configuration at the end; None draws the start alone.
         tool_path: (K, 7) tool poses along the plan, or (K, 3) positions [m].
         tool_leaf: (K,) leaf contact at each of them, 0 for none.
-        target_pose: (7,) T_base_tool at the grasp.
-        title: one line above the picture.
+        target_pose: (7,) T_base_tool at the grasp, or (3,) a fruit's centre; the view is widened for one that is out of reach.
+        title: one line above the picture; red with a sentence beneath it, which says why there is no plan.
+        sentence: any number of words.
+        blocked: the configuration that was refused, drawn in red with what it meets.
+        keep_out_boxes: (6 K,) lowest x y z, highest x y z of each [m].
 
     Returns:
         The file.
@@ -107,24 +135,43 @@ def draw_picture(
     path = Path(path)
     if path.suffix.lower() not in SUFFIXES:
         raise ParameterError(f"{path}: a picture ends in one of {', '.join(SUFFIXES)}, not in {path.suffix or 'nothing'!r}")
-    configurations = [np.asarray(q, dtype=np.float64) for q in (q_start, q_goal) if q is not None]
-    arms = [arm_mesh(robot, q) for q in configurations]
+    here = blocked is not None and np.array_equal(blocked.q, np.asarray(q_start))
+    arms = [Solid(*arm_mesh(robot, np.asarray(q, dtype=np.float64)), ARM) for q in (q_start, q_goal) if q is not None]
+    if blocked is not None:
+        refused = Solid(*arm_mesh(robot, blocked.q), link_colours(robot, blocked.links))
+        arms = [refused] if here else [arms[0], refused]
     line = np.zeros((0, 3)) if tool_path is None else np.asarray(tool_path, dtype=np.float64)[:, :3]
     contact = np.zeros(len(line)) if tool_leaf is None else np.asarray(tool_leaf, dtype=np.float64)
     target = None if target_pose is None else np.asarray(target_pose, dtype=np.float64)
+    far = target is not None and not within_sight(target[:3], robot.reach_m)
+    beyond = target is not None and not far and float(np.linalg.norm(target[:3])) > robot.reach_m
+    boxes, touched = boxes_shown(keep_out_boxes, robot.reach_m), None if blocked is None else blocked.box
+    met = None if blocked is None else blocked.place(robot)
     shown = in_sight(scene, robot)
+    in_red = None if blocked is None else InRed(*link_mesh(robot, blocked.q, blocked.links), blocked.obstacle(scene))
     unseen = make_seen_map(scene, UNSEEN_VOXEL_M, reach_m=robot.reach_m).unseen
-    low, high = _bounds([*(vertices for vertices, _ in arms), *shown.values(), line])
+    around: list[Array | Float32] = [
+        *(arm.vertices for arm in arms),
+        *shown.values(),
+        line,
+        boxes[np.isfinite(boxes).all(axis=(1, 2))].reshape(-1, 3),
+    ]
+    low, high = _bounds([*around, np.zeros((0, 3)) if target is None or far else target[:3] + _AROUND_TARGET_M * np.array([[-1.0], [1.0]])])
 
     from matplotlib.figure import Figure
 
     views = _views(low, high, target)
     widths = [view.extent[1] - view.extent[0] for _, _, view in views]
     heights = [view.extent[3] - view.extent[2] for _, _, view in views]
-    # Inches: the higher view is 4.4 high, the other to the same scale; around them room for labels, colour bar and legend.
-    scale = 4.4 / max(heights)
-    left, gap, beside, bottom, top = 0.75, 0.85, 1.35, 0.95, 0.75 if title else 0.4
-    width, height = sum(widths) * scale + left + gap + beside, 4.4 + bottom + top
+    # Inches: the higher view is 4.4 high, the other to the same scale, unless both get too wide; around them labels, colour bar and legend.
+    scale = min(4.4 / max(heights), _WIDEST_INCHES / sum(widths))
+    marks = legend_entries(blocked=blocked is not None, contact=met is not None, boxes=boxes, touched=touched, reach=beyond)
+    left, gap, beside, bottom = 0.75, 0.85, 1.35 if len(contact) else 0.3, 1.15 if marks else 0.95
+    width = max(sum(widths) * scale + left + gap + beside, _NARROWEST_INCHES)
+    lines = wrapped(f"{sentence[:1].upper()}{sentence[1:]}", width - left - 0.3)
+    top = (0.75 if title else 0.4) + _LINE_INCHES * len(lines)
+    tallest = max(heights) * scale
+    height = tallest + bottom + top
     figure = Figure(figsize=(width, height))
     floor, ceiling = bottom / height, 1.0 - top / height
     starts = (left, left + widths[0] * scale + gap)
@@ -132,11 +179,18 @@ def draw_picture(
         high_inches = heights[place] * scale
         frame = (starts[place] / width, ceiling - high_inches / height, widths[place] * scale / width, high_inches / height)
         axes = figure.add_axes(frame)
-        axes.imshow(_render(view, shown, scene, arms), extent=view.extent, interpolation="antialiased", aspect="equal")
+        axes.imshow(_render(view, shown, scene, arms, in_red), extent=view.extent, interpolation="antialiased", aspect="equal")
         _draw_unseen(axes, view, unseen)
+        draw_boxes(axes, view, boxes, touched)
         _draw_path(axes, view, line, contact)
-        if target is not None:
+        if beyond:
+            draw_reach(axes, view, robot.reach_m)
+        if target is not None and far:
+            point_to(axes, view, target[:3], TARGET)
+        elif target is not None:
             _draw_target(axes, view, target)
+        if met is not None:
+            draw_contact(axes, view, met)
         axes.set_title(name, fontsize=10, loc="left")
         axes.set_xlabel(f"{labels[0]} [m]")
         axes.set_ylabel(f"{labels[1]} [m]")
@@ -145,10 +199,37 @@ def draw_picture(
         axes.set_ylim(view.extent[2:])
         axes.grid(False)
     _colour_bar(figure, (1.0 - (beside - 0.3) / width, floor, 0.16 / width, ceiling - floor), contact)
-    _legend(figure, scene, len(arms) > 1, len(line) > 1, target is not None, len(unseen) > 0)
+    _legend(
+        figure,
+        scene,
+        not here,
+        q_goal is not None or blocked is not None,
+        q_goal is not None,
+        len(line) > 1,
+        None if far else target,
+        len(unseen) > 0,
+        marks,
+    )
     if title:
-        figure.text(left / width, 1.0 - 0.3 / height, title, ha="left", va="center", fontsize=11)
+        bad: dict[str, Any] = {"color": BLOCKED, "weight": "bold"} if sentence else {}
+        figure.text(left / width, 1.0 - 0.3 / height, title, ha="left", va="center", fontsize=11, **bad)
+    figure.text(left / width, 1.0 - 0.44 / height, "\n".join(lines), ha="left", va="top", fontsize=10, linespacing=1.25)
     return _write(figure, path)
+
+
+@dataclass(frozen=True, eq=False)
+class Solid:
+    """An arm to be drawn.
+
+    Attributes:
+        vertices: (V, 3) [m].
+        triangles: (T, 3).
+        colours: (T, 3) or (3,), 0 to 1.
+    """
+
+    vertices: Array
+    triangles: Int64
+    colours: npt.ArrayLike
 
 
 def _write(figure: Any, path: Path) -> Path:
@@ -162,13 +243,19 @@ def _write(figure: Any, path: Path) -> Path:
 
 def arm_mesh(robot: Robot, q: Array) -> tuple[Array, Int64]:
     """Return the whole arm at q as one mesh in the planning frame: vertices (V, 3), triangles (T, 3)."""
+    return link_mesh(robot, q, [link.name for link in robot.links])
+
+
+def link_mesh(robot: Robot, q: Array, names: Sequence[str]) -> tuple[Array, Int64]:
+    """Return some links of the arm at q as one mesh in the planning frame: vertices (V, 3), triangles (T, 3)."""
     poses = robot.link_poses(q)
     vertices, triangles, count = [], [], 0
     for link in robot.links:
-        pose = poses[link.joint]
-        vertices.append(link.vertices @ pose[:3, :3].T + pose[:3, 3])
-        triangles.append(link.triangles.astype(np.int64) + count)
-        count += len(link.vertices)
+        if link.name in names:
+            pose = poses[link.joint]
+            vertices.append(link.vertices @ pose[:3, :3].T + pose[:3, 3])
+            triangles.append(link.triangles.astype(np.int64) + count)
+            count += len(link.vertices)
     return np.concatenate(vertices), np.concatenate(triangles)
 
 
@@ -198,17 +285,19 @@ def _views(low: Array, high: Array, target: Array | None) -> list[tuple[str, tup
     return [side, ("from above", ("x", "y"), View(x, y, (low[0], high[0], low[1], high[1]), pixel))]
 
 
-def _render(view: View, shown: dict[str, Float32], scene: Scene, arms: list[tuple[Array, Any]]) -> Image:
-    """Draw plant and arms at twice the picture's resolution and halve it."""
+def _render(view: View, shown: dict[str, Float32], scene: Scene, arms: list[Solid], in_red: InRed | None) -> Image:
+    """Draw plant and arms, and over them what is in the way, at twice the picture's resolution and halve it."""
     fine = View(view.right, view.up, view.extent, 0.5 * view.pixel_m)
     plant = [
         leaf_layer(fine, shown["leaf"], scene),
         cloud_layer(fine, shown["stem"], STEM, (0.0018, 0.0045)),
         fruit_layer(fine, shown["fruit"], scene),
     ]
-    meshes = [mesh_layer(fine, vertices, triangles, ARM) for vertices, triangles in arms]
     opacities = [_START_OPACITY, 1.0] if len(arms) > 1 else [1.0]
-    return halved(compose(plant, list(zip(meshes, opacities, strict=True)), _LEAF_OVER_ARM))
+    solid = [(mesh_layer(fine, arm.vertices, arm.triangles, arm.colours), opacity) for arm, opacity in zip(arms, opacities, strict=True)]
+    if in_red is not None:
+        solid += in_red.layers(fine)
+    return halved(compose(plant, solid, _LEAF_OVER_ARM))
 
 
 def leaf_layer(view: View, points: Float32, scene: Scene) -> Layer:
@@ -287,10 +376,10 @@ def _draw_unseen(axes: Axes, view: View, places: Float32) -> None:
 
 
 def _draw_target(axes: Axes, view: View, target: Array) -> None:
-    """Ring the target, beneath the path, whose end it must not hide; a line shows from where the palm comes."""
+    """Ring the target, beneath the path, whose end it must not hide; a line shows from where the palm comes to a pose."""
     from lime_planner.core.geometry import pose_to_matrix
 
-    approach = pose_to_matrix(target)[:3, 2]
+    approach = pose_to_matrix(target)[:3, 2] if len(target) == 7 else np.zeros(3)
     (x, y, _), (x0, y0, _) = view.project(np.stack([target[:3], target[:3] - 0.09 * approach]))
     for colour, width, order in (("white", 3.4, 2.4), (TARGET, 1.8, 2.5)):
         axes.plot([x0, x], [y0, y], color=colour, linewidth=width, linestyle="-", zorder=order)
@@ -308,7 +397,9 @@ def _colour_bar(figure: Any, place: tuple[float, float, float, float], contact: 
     bar.ax.tick_params(labelsize=8)
 
 
-def _legend(figure: Any, scene: Scene, moved: bool, path: bool, target: bool, unseen: bool) -> None:
+def _legend(
+    figure: Any, scene: Scene, start: bool, two: bool, goal: bool, path: bool, target: Array | None, unseen: bool, marks: list[Any]
+) -> None:
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
@@ -318,20 +409,24 @@ def _legend(figure: Any, scene: Scene, moved: bool, path: bool, target: bool, un
     if unseen:
         words = f"unseen, {100.0 * _UNSEEN_DEPTH_M:.0f} cm deep or more"
         entries.append(Patch(facecolor="white", edgecolor=UNSEEN, hatch="///", linewidth=0.0, label=words))
-    entries.append(Patch(facecolor=ARM, alpha=_START_OPACITY if moved else 1.0, edgecolor="0.3", linewidth=0.5, label="arm at the start"))
-    if moved:
+    if start:
+        entries.append(Patch(facecolor=ARM, alpha=_START_OPACITY if two else 1.0, edgecolor="0.3", linewidth=0.5, label="arm at the start"))
+    if goal:
         entries.append(Patch(facecolor=ARM, edgecolor="0.2", linewidth=0.5, label="arm at the goal"))
     if path:
         line = Line2D([], [], color=FREE_PATH, linewidth=2.6, marker="o", markerfacecolor="white", markeredgecolor="black")
         line.set_label("tool's path from its start")
         entries.append(line)
-    if target:
-        entries.append(Line2D([], [], color=TARGET, marker="o", markerfacecolor="none", label="target and approach"))
+    if target is not None:
+        ring: dict[str, Any] = {"color": TARGET, "marker": "o", "markersize": 8, "markerfacecolor": "none"}
+        posed = len(target) == 7
+        entries.append(Line2D([], [], linestyle="-" if posed else "", label="target and approach" if posed else "target", **ring))
+    entries += marks
     figure.legend(
         handles=entries,
         loc="lower center",
         bbox_to_anchor=(0.5, 0.01),
-        ncol=len(entries),
+        ncol=len(entries) if not marks else (len(entries) + 1) // 2,
         frameon=False,
         fontsize=9,
         handlelength=1.6,

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
-
+from lime_planner.output.refusal_marks import BLOCKED
 from lime_planner.pipeline.in_the_way import InTheWay
 from lime_planner.robot.model import Robot
 from lime_planner.scene.scene import Scene
-from lime_planner.viewer.layers import BLOCKED, Arm, rgb, set_visible, thinned
+from lime_planner.viewer.layers import Arm, rgb, set_visible, thinned
 
-_NEAR_M = 0.03  # points of the obstacle are drawn this far from the contact
 _MOST_POINTS = 400
 _PALE = 0.25
 
@@ -28,21 +26,19 @@ class BlockedLayer:
             scene: whose hard points are drawn around the contact.
             found: see `lime_planner.pipeline.in_the_way`.
         """
-        self._arm = Arm(api, "/blocked", robot, BLOCKED, _PALE, solid=found.hit.link)
+        self._arm = Arm(api, "/blocked", robot, BLOCKED, _PALE, solid=found.links)
         self._arm.place(found.q)
         self._handles: list[Any] = []
-        if found.hit.place is None:
+        place = found.place(robot)
+        if place is None:
             return
-        points = np.concatenate([scene.stem_points, scene.fruit_points])
-        near = points[np.linalg.norm(points - found.hit.place, axis=1) < _NEAR_M]
+        near = found.obstacle(scene)
         near = near[thinned(near, _MOST_POINTS)] if len(near) else near
         if len(near):
             self._handles.append(
                 api.add_point_cloud("/blocked_by", near, rgb(BLOCKED), point_size=0.009, point_shape="circle", precision="float32")
             )
-        ball = api.add_icosphere(
-            "/blocked_at", 0.022, color=rgb(BLOCKED), subdivisions=2, position=found.hit.place, opacity=0.4, cast_shadow=False
-        )
+        ball = api.add_icosphere("/blocked_at", 0.022, color=rgb(BLOCKED), subdivisions=2, position=place, opacity=0.4, cast_shadow=False)
         self._handles.append(ball)
 
     def show(self, visible: bool) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cache, partial
 from typing import Any
 
@@ -30,7 +30,6 @@ LEAF = (0.10, 0.52, 0.27)
 POINTS_SHOWN = 40_000
 UNSEEN = (0.45, 0.40, 0.62)
 BESIDE = (0.54, 0.31, 0.62)  # the path of a plan beside the one shown
-BLOCKED = (0.86, 0.10, 0.12)
 _TRIANGLES_OF_A_LINK = 3000
 _TONES = (0.82, 0.94, 1.06, 1.18)  # of leaves, so that one stands out from the next
 _PATH_THICKNESS_M = 0.006
@@ -174,7 +173,7 @@ class Arm:
     """The arm's meshes at one configuration."""
 
     def __init__(
-        self, api: Any, name: str, robot: Robot, colour: tuple[float, float, float], opacity: float | None, *, solid: str = ""
+        self, api: Any, name: str, robot: Robot, colour: tuple[float, float, float], opacity: float | None, *, solid: Sequence[str] = ()
     ) -> None:
         """Add the arm.
 
@@ -184,7 +183,7 @@ class Arm:
             robot: the arm.
             colour: 0 to 1.
             opacity: 0 to 1; None for solid.
-            solid: name of a link that is solid all the same.
+            solid: names of links that are solid all the same.
         """
         self._robot = robot
         self.q: Array | None = None
@@ -196,7 +195,7 @@ class Arm:
                 vertices,
                 triangles,
                 color=rgb(colour),
-                opacity=None if link == solid else opacity,
+                opacity=None if link in solid else opacity,
                 side="double",
                 cast_shadow=False,
             )

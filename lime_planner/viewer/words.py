@@ -11,10 +11,11 @@ import numpy as np
 from lime_planner.core.status import Status
 from lime_planner.output.approach_lines import APPROACH_COLOURS, APPROACH_WORDS
 from lime_planner.output.picture import ARM, FREE_PATH, LEAFY_PATH, LIME, STEM, TARGET
+from lime_planner.output.refusal_marks import BLOCKED
 from lime_planner.output.timeline import CLEARANCE_SHOWN_M, Timeline
 from lime_planner.pipeline.result import PlanRecord
 from lime_planner.viewer.backend import Activity, Moment
-from lime_planner.viewer.layers import BLOCKED, LEAF, Colour, rgb
+from lime_planner.viewer.layers import LEAF, Colour, rgb
 
 #: Signs of the status line; refusals and finds have their own, so that no colour is needed to tell them apart.
 _SIGNS = {Activity.LOADING: "…", Activity.IDLE: "●", Activity.PLANNING: "◔", Activity.MOVING: "▶", Activity.STOPPING: "■"}

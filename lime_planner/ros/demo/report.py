@@ -142,7 +142,7 @@ def _picture(args: argparse.Namespace, robot: Robot, scene: Scene, driven: Drive
 
     states = driven.states if len(driven.states) else home(robot)[None]
     moved = len(states) > 1 and driven.success
-    title = headline(figures) if moved else driven.message.partition(" [")[0]
+    code, _, sentence = ("", "", "") if moved else driven.message.partition(" [")[0].partition(": ")
     options: dict[str, Any] = {}
     if moved:
         shown = states[np.unique(np.linspace(0, len(states) - 1, _PICTURE_STATES).round().astype(int))]
@@ -159,5 +159,10 @@ def _picture(args: argparse.Namespace, robot: Robot, scene: Scene, driven: Drive
             "tool_path": np.array([robot.forward(q)[:3, 3] for q in shown]),
             "tool_leaf": np.array([float(checker.leaf_contact(q)) for q in shown]),
         }
-    options |= {"q_start": states[0], "target_pose": reached_for(scene, driven.figures), "title": title}
+    options |= {
+        "q_start": states[0],
+        "target_pose": reached_for(scene, driven.figures),
+        "title": code or headline(figures),
+        "sentence": sentence,
+    }
     return draw_picture(args.out / "demo.png", scene, robot, **options)
