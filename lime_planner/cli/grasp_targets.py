@@ -57,6 +57,8 @@ def targets_of(args: argparse.Namespace, scene: Scene, settings: Settings, tool:
     from lime_planner.pipeline.scene_targets import fruit_targets, own_target
     from lime_planner.pipeline.targets import candidates_target, target_of
 
+    if args.target is None and args.candidates is None:
+        _check_size(args.scale, scene)
     if args.fruit is not None:
         which: Any = int(args.fruit) if args.fruit.lstrip("-").isdigit() else args.fruit
         return fruit_targets(scene, which, tool)
@@ -69,6 +71,22 @@ def targets_of(args: argparse.Namespace, scene: Scene, settings: Settings, tool:
         return [target_of(args.target, settings.grasp_freedom)]
     own = own_target(scene, settings.grasp_freedom, tool)
     return [] if own is None else [own]
+
+
+def _check_size(scale: float, scene: Scene) -> None:
+    """Refuse a scene whose fruit is too large to be one, with the option that would change that.
+
+    Raises:
+        ParameterError: see above.
+    """
+    from lime_planner.pipeline.targets import LARGEST_RADIUS_M
+
+    radius_m = 0.0 if scene.fruit_radii is None or not len(scene.fruit_radii) else float(scene.fruit_radii.max())
+    if radius_m <= LARGEST_RADIUS_M:
+        return
+    made = f"--scale {scale:g} makes the scene's fruit" if scale != 1.0 else "the scene's fruit is"
+    hint = "it is metres for each unit of the file" if scale != 1.0 else "is the file in millimetres? --scale 0.001 then"
+    raise ParameterError(f"{made} {radius_m:.4g} m in radius, at most {LARGEST_RADIUS_M:g} m are allowed: {hint}")
 
 
 def read_candidates(path: Path) -> npt.ArrayLike:

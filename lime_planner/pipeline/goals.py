@@ -109,6 +109,11 @@ def examine_start(obstacles: Obstacles, checker: ExactChecker, q_start: Array) -
     if hit is None:
         return None
     status = Status.START_IN_STEM if hit.what == "stem" else Status.START_INVALID
+    spot = obstacles.spot
+    if spot is not None and hit.place is not None and spot.is_fruit(hit.place):
+        return status, "where the arm stands, {} touches the fruit itself, whose centre is {:.3f} {:.3f} {:.3f}".format(
+            hit.link, *spot.centre
+        )
     return status, f"where the arm stands, {hit}"
 
 

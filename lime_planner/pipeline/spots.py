@@ -19,6 +19,7 @@ _SAME_M = 0.01  # between a target and a fruit of known centre
 _SPACING_M = 0.004  # of the points of a fruit that the cloud does not show
 _INTO_TOP_M = 0.002  # the stalk is let go from this far below the fruit's top
 _ROOM_M = 0.02  # the approach zone reaches this far beyond the straight stretch
+_SURFACE_M = 0.005  # points this far outside of a fruit's radius are still its surface
 _LARGEST_M = 0.06  # radius of a fruit, where a cloud's points say more
 
 
@@ -39,6 +40,10 @@ class Spot:
     fruit_radius_m: float | None = None
     stalk: bool = True
     picked: bool = False
+
+    def is_fruit(self, place: Array) -> bool:
+        """Whether a hard point (3,) is of the target's own fruit."""
+        return self.fruit_radius_m is not None and float(np.linalg.norm(place - self.centre)) < self.fruit_radius_m + _SURFACE_M
 
 
 def spot_at(place: Spot | npt.ArrayLike | None) -> Spot | None:

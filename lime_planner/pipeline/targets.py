@@ -23,6 +23,7 @@ Kind = Literal["fruit", "candidates", "pose"]
 Freedom = Literal["exact", "roll", "cone"]
 
 MAX_CANDIDATES = 2000
+LARGEST_RADIUS_M = 0.2  #: of a fruit
 _SAME_FRUIT_M = 0.04  # candidates this close to their middle are for one fruit
 
 
@@ -138,8 +139,8 @@ def fruit_target(centre: npt.ArrayLike, radius_m: float | None = None) -> Target
     values = floats("the fruit", centre)
     if values.shape != (3,) or not np.isfinite(values).all():
         raise ProblemError(f"the fruit's centre needs 3 finite numbers x y z, got {shown(centre)}")
-    if radius_m is not None and not (np.isfinite(radius_m) and 0.0 < radius_m <= 0.2):
-        raise ProblemError(f"the fruit's radius is {shown(radius_m)}; it must be above 0 and at most 0.2 m")
+    if radius_m is not None and not (np.isfinite(radius_m) and 0.0 < radius_m <= LARGEST_RADIUS_M):
+        raise ProblemError(f"the fruit's radius is {radius_m:.4g} m; it must be above 0 and at most {LARGEST_RADIUS_M:g} m")
     return Target("fruit", values, np.zeros((0, 4, 4)), "cone", radius_m)
 
 

@@ -64,6 +64,8 @@ def read_members(path: str | os.PathLike[str], label_field: str) -> Members:
         SceneError: the file is missing, of another kind, truncated, empty, or without a needed field.
     """
     path = Path(path)
+    if path.is_dir():
+        raise SceneError(f"{path}: is a folder, not a scene file")
     suffix = _suffix(path)
     if not path.is_file():
         raise SceneError(f"{path}: there is no such file")

@@ -12,6 +12,7 @@ import pytest
 from arm_helpers import plant, scene_of, settings
 
 from lime_planner.cli.grasp_targets import check_together, read_candidates, targets_of
+from lime_planner.cli.main import main
 from lime_planner.core.errors import LimePlannerError, UsageError
 from lime_planner.pipeline.scene_targets import own_target
 
@@ -20,7 +21,7 @@ TOOL = np.array([0.2, -0.3, 0.5])
 
 
 def arguments(**given: Any) -> argparse.Namespace:
-    return argparse.Namespace(**({"target": None, "fruit": None, "candidates": None, "freedom": None} | given))
+    return argparse.Namespace(**({"target": None, "fruit": None, "candidates": None, "freedom": None, "scale": 1.0} | given))
 
 
 def test_fruit_by_number_word_and_place() -> None:
@@ -103,3 +104,10 @@ def test_bad_candidate_files_are_named(tmp_path: Path, name: str, text: str, wor
         targets_of(arguments(candidates=tmp_path / name), scene_of(np.zeros((1, 3))), settings(), TOOL)
     with pytest.raises(LimePlannerError, match="cannot be read"):
         read_candidates(tmp_path / "none.csv")
+
+
+def test_a_scale_that_makes_fruit_too_large_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    plant(15).save(tmp_path / "plant.npz")
+    assert main(["plan", str(tmp_path / "plant.npz"), "--scale", "1000"]) == 1
+    said = capsys.readouterr().err
+    assert said.startswith("BAD_INPUT: --scale 1000 makes the scene's fruit 2") and "metres for each unit of the file" in said

@@ -152,6 +152,23 @@ def test_refusals_count_what_became_of_the_approaches() -> None:
     assert exact.status is not None and "the fruit itself as the target, leaves the approach open" in exact.sentence
 
 
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        (lambda c: {"keep_out_boxes": [9.0, 9.0, 9.0, 9.5, 9.5, 9.5, *(c - 0.1), *(c + 0.1)]}, "through keep-out box 1"),
+        (lambda c: {"floor_z_m": float(c[2]) + 0.05}, "through the floor"),
+        (lambda c: {"workspace_box": [-2.0, -2.0, -2.0, float(c[0]) - 0.05, 2.0, 2.0]}, "out of the workspace box"),
+        (lambda c: {}, "through the branch at"),
+    ],
+)
+def test_the_commonest_obstacle_is_named_whatever_it_is(values: Any, words: str) -> None:
+    scene, centre = fruit_scene()
+    parts = [scene.fruit_points, scene.stem_points, ball(centre, 0.05) if not values(centre) else ball(centre + [0.0, 0.0, 0.3], 0.01)]
+    labels = np.repeat([2, 1, 1], [len(part) for part in parts])
+    refused = goals(Scene.from_points(np.concatenate(parts), labels), fruit_target(centre), **values(centre))
+    assert refused.status is Status.GOAL_IN_STEM and words in refused.sentence, refused.sentence
+
+
 def test_where_nothing_is_free_it_looks_around_what_lacks_least() -> None:
     scene = plant(10, "dense")
     assert scene.fruit_centres is not None

@@ -66,6 +66,12 @@ def test_start_in_collision_with_itself_or_a_keep_out() -> None:
     refused(plan(scene_of(FAR), goal(0.1), workspace_box=near), Status.START_INVALID, "outside the workspace box")
 
 
+def test_a_fruit_inside_the_arm_is_called_the_fruit() -> None:
+    result = plan(scene_of(FAR), [0.0, 0.0, 0.3])
+    assert result.status is Status.START_IN_STEM
+    assert "touches the fruit itself, whose centre is 0.000 0.000 0.300" in result.message and "stem" not in result.message
+
+
 def hand_surface(q: np.ndarray) -> np.ndarray:
     """Points on hand and fingers (V, 3), the one with the largest x last."""
     robot = robot_named()

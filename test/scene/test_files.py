@@ -235,3 +235,10 @@ def test_the_real_scans_load(shared_data):
         heights = np.concatenate([scene.leaf_points, scene.stem_points])[:, 2]
         assert 0.049 < heights.min() < 0.1
         assert 0.3 < heights.max() < 0.75
+
+
+def test_a_folder_is_called_one(tmp_path):
+    for name in ("scans", "scan.npz"):
+        (tmp_path / name).mkdir()
+        with pytest.raises(SceneError, match=f"{name}: is a folder, not a scene file"):
+            Scene.load(tmp_path / name)
