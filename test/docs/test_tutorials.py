@@ -6,7 +6,8 @@ A fenced block's language and title say what happens to it:
   that stand alone run in this process, through the command's own entry, which saves their imports;
 - any language with a file's name as its title: written to that file, and checked as far as its language can be;
 - a title of `NOT_RUN`, which readers see above the block: not run, but its syntax is checked;
-- `text`: output, for the reader.
+- `text`, right after what is run: all that it prints, in which `...` stands for any words. It is compared: words, and numbers to their last
+  digit, but for the time that planning took. What Python prints is always shown.
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ import numpy as np
 import pytest
 import yaml
 from domains import DOMAIN
+from shown import is_shown
 
 from lime_planner.cli import main as cli
 
@@ -86,32 +88,46 @@ def environment() -> dict[str, str]:
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
-def test_page_runs_as_written(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_page_runs_as_written(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "80")
     (tmp_path / "config").symlink_to(ROOT / "config")
     names: dict[str, object] = {"__name__": "__main__"}
     groups: list[int] = []
-    ran = 0
+    blocks = blocks_of(page)
+    ran, wrong = 0, []
+    printed: str | None = None  # by the block before
     try:
-        for block in blocks_of(page):
+        for number, block in enumerate(blocks):
+            if block.language == "text":
+                assert printed is not None, f"{block.where}: output of what is not run"
+                if not is_shown(block.text, printed):
+                    wrong.append(f"{block.where} shows\n{block.text}\nand printed is\n{printed}")
+                continue
+            printed = None
             if block.title in NOT_RUN or (block.title and "." in block.title):
                 check_syntax(block)
                 if block.title not in NOT_RUN:
                     (tmp_path / block.title).write_text(block.text, encoding="utf-8")
             elif block.language == "python":
                 assert not block.title, f"{block.where}: unknown title {block.title!r}"
+                capsys.readouterr()
                 exec(compile(block.text, block.where, "exec"), names)
+                printed = capsys.readouterr().out
+                shown = number + 1 < len(blocks) and blocks[number + 1].language == "text"
+                assert shown or not printed, f"{block.where}: what it prints is not shown:\n{printed}"
                 ran += 1
             elif block.language == "bash":
                 assert not block.title, f"{block.where}: unknown title {block.title!r}"
-                if not run_here(block):
-                    run_bash(block, groups)
+                capsys.readouterr()
+                printed = capsys.readouterr().out if run_here(block) else run_bash(block, groups)
                 ran += 1
             else:
-                assert block.language in ("text", "json"), f"{block.where}: {block.language} is neither run, nor a file, nor output"
+                raise AssertionError(f"{block.where}: {block.language} is neither run, nor a file, nor output")
     finally:
         for group in groups:
             end_group(group)
+    assert not wrong, "\n".join(wrong)
     assert ran >= 1
 
 
@@ -130,8 +146,8 @@ def run_here(block: Block) -> bool:
     return True
 
 
-def run_bash(block: Block, groups: list[int]) -> None:
-    """Run a block in a process group of its own, which may outlive it: background processes stay until the page's end."""
+def run_bash(block: Block, groups: list[int]) -> str:
+    """Run a block in a process group of its own, which may outlive it: background processes stay until the page's end. What it printed."""
     log = Path(f"block-{block.line}.log")
     with log.open("w") as out:
         process = subprocess.Popen(
@@ -144,6 +160,7 @@ def run_bash(block: Block, groups: list[int]) -> None:
         code = None
     logs = "\n".join(path.read_text(encoding="utf-8", errors="replace") for path in sorted(Path().glob("*.log")))
     assert code == 0, f"{block.where}: {'took too long' if code is None else f'exit status {code}'}\n{logs}"
+    return log.read_text(encoding="utf-8", errors="replace")
 
 
 def end_group(group: int) -> None:
@@ -157,6 +174,23 @@ def end_group(group: int) -> None:
                 time.sleep(0.05)
         except ProcessLookupError:
             return
+
+
+def test_what_is_shown_is_what_is_printed_to_the_last_digit_but_for_times() -> None:
+    shown = "SUCCEEDED: 13 waypoints over 4.61 rad, 0.141 rad\nof it among leaves, planned in 0.91 s\n"
+    assert is_shown(shown, "SUCCEEDED: 13 waypoints over 4.61 rad, 0.141 rad of it among leaves, planned in 1.2 s")
+    assert is_shown(shown, shown.replace("4.61", "4.62"))  # rounded the other way
+    for now in ("4.63", "4.6", "5.61"):
+        assert not is_shown(shown, shown.replace("4.61", now)), now
+    assert not is_shown(shown, shown.replace("13", "14"))
+    assert not is_shown(shown, shown.replace("SUCCEEDED", "NO_PATH"))
+    assert not is_shown(shown, shown + "and more")
+    assert not is_shown(shown, "SUCCEEDED:")
+    assert not is_shown(shown, "")
+    assert is_shown("a ┃ 0.50\n━━━╇━━━━", "a   0.51")
+    assert is_shown("SUCCEEDED: ... leaves, ...\nGOAL_IN_STEM: ...", "SUCCEEDED: 3 leaves, 4\nGOAL_IN_STEM: 5")
+    assert not is_shown("SUCCEEDED: ... leaves, ...\nGOAL_IN_STEM: ...", "SUCCEEDED: 3 leaves, 4\nNO_PATH: 5")
+    assert is_shown("... b", "a b") and is_shown("a ... b", "a b") and not is_shown("a b ... b", "a b") and not is_shown("... b", "a b c")
 
 
 def test_commands_of_blocks_that_are_not_run_name_what_exists() -> None:
