@@ -61,8 +61,9 @@ def test_pages_load_nothing_from_elsewhere(site: Path) -> None:
             assert missing == [], page
 
 
-def test_search_works_in_pages_opened_as_files(site: Path) -> None:
-    pytest.importorskip("playwright.sync_api")
+def test_search_works_in_pages_opened_as_files_and_finds_what_is_asked_for(site: Path) -> None:
+    """A status first in the list of statuses, what to do with the installation on its page, a Python name in the Python reference."""
+    expect = pytest.importorskip("playwright.sync_api").expect
     from browser import chromium
 
     with chromium() as browser:
@@ -70,10 +71,16 @@ def test_search_works_in_pages_opened_as_files(site: Path) -> None:
         page.goto((site / "tutorials" / "first-plan.html").as_uri())
         page.keyboard.press("s")
         page.get_by_text("Type to start searching").wait_for(timeout=60_000.0)
-        page.locator("input.md-search__input").press_sequentially("GOAL_IN_STEM")
-        first = page.locator(".md-search-result__item h1").first
-        first.wait_for(timeout=60_000.0)
-        assert first.inner_text() == "Statuses"
+        field, first = page.locator("input.md-search__input"), page.locator(".md-search-result__item h1").first
+        files = "Update, remove, and where files lie"
+        wanted = {"GOAL_IN_STEM": "Statuses", "SUCCEEDED": "Statuses", "generate_plant": "Python"}
+        wanted |= dict.fromkeys(("update", "updating", "upgrade", "remove", "uninstall"), files)
+        for words, title in wanted.items():
+            field.fill("")
+            page.get_by_text("Type to start searching").wait_for(timeout=60_000.0)
+            field.press_sequentially(words)
+            first.wait_for(timeout=60_000.0)
+            expect(first, words).to_have_text(title, timeout=60_000.0)
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
