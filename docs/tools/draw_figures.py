@@ -1,4 +1,4 @@
-"""Draws the figures of docs/how-it-works.md from the package's own parts; `python docs/tools/draw_figures.py [name ...]` chooses some.
+"""Draws the figures of docs/how-it-works.md, and the first plan's picture, from the package's own parts; `python docs/tools/draw_figures.py [name ...]` chooses some.
 
 Colours are Okabe and Ito's, which every kind of colour vision tells apart; every axis has its unit. A minute or two on two cores.
 """
@@ -17,8 +17,9 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.patches import Circle, FancyArrowPatch, FancyBboxPatch
+from PIL import Image
 
-from lime_planner import Robot, generate_plant, plan
+from lime_planner import Robot, draw, generate_plant, plan
 from lime_planner.api import _warm_pipeline
 from lime_planner.core.geometry import pose_to_matrix
 from lime_planner.core.parameters import settings_from
@@ -35,6 +36,7 @@ GREEN, BROWN, BLUE, ORANGE, SKY, GREY = "#009e73", "#7a4a1e", "#0072b2", "#d55e0
 JOINT_COLOURS = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00")
 PLANT = 15
 GRASPED = 5  # of its limes, in the figure of the grasps
+LEAFY = 7  # a plant at whose lime leaves cannot but be touched: the one of docs/tutorials/first-plan.md
 
 
 def save(figure: Any, name: str) -> None:
@@ -191,8 +193,8 @@ def anytime(robot: Robot) -> None:
 
 def timing(robot: Robot) -> None:
     """Positions and velocities of one motion, slower among leaves."""
-    scene = generate_plant(PLANT)
-    result = plan(scene, robot, seed=1, iterations=3000, leaf_speed_scale=0.3, c_perm=1.0)
+    scene = generate_plant(LEAFY)
+    result = plan(scene, robot, seed=1, iterations=3000, leaf_speed_scale=0.3, c_perm=0.1)
     assert result.trajectory is not None, result.message
     motion = result.trajectory
     times = motion.times()
@@ -212,24 +214,28 @@ def timing(robot: Robot) -> None:
         for limit in sorted(set(np.degrees(robot.velocity_limits).round(3))):
             axes[1].axhline(sign * limit, color=GREY, linewidth=1, linestyle=":")
     axes[1].text(times[-1], np.degrees(robot.velocity_limits.max()) + 1.5, "limits of the joints", ha="right", color=GREY, fontsize=8.5)
-    axes[0].legend(frameon=False, fontsize=8.5, ncols=2)
+    axes[0].legend(frameon=False, fontsize=8.5, ncols=7, loc="lower left", bbox_to_anchor=(-0.02, 1.0), columnspacing=1.0, handlelength=1.5)
     tidy(axes[0], "", "way from the start [°]")
     tidy(axes[1], "time [s]", "velocity [°/s]")
     save(figure, "how-timing")
 
 
 def weights(robot: Robot) -> None:
-    """Leaf contact and length against the leaf weight, on ten plants."""
+    """Leaf contact and length against the leaf weight, on ten plants at whose lime leaves cannot but be touched."""
     values = np.array([0.001, 0.01, 0.1, 1.0, 10.0, 100.0, 1000.0])
     length, contact = [], []
     for seed in range(60):
         if len(length) == 10:
             break
         scene = generate_plant(seed)
-        if scene.target_pose is None or not plan(scene, robot, seed=1, time_budget_s=0.2).succeeded:
+        if scene.target_pose is None:
             continue
-        results = [plan(scene, robot, seed=1, time_budget_s=0.7, c_perm=float(c)) for c in values]
+        usual = plan(scene, robot, seed=1, iterations=1000)
+        if not usual.succeeded or usual.leaf_contact_rad < 0.01:
+            continue
+        results = [plan(scene, robot, seed=1, iterations=4000, c_perm=float(c)) for c in values]
         if all(result.succeeded for result in results):
+            print(f"  plant {seed}", flush=True)
             length.append([result.path_length_rad for result in results])
             contact.append([result.leaf_contact_rad for result in results])
     figure, ax = plt.subplots(figsize=(6.6, 3.8), layout="constrained")
@@ -301,7 +307,21 @@ def grasps(robot: Robot) -> None:
     save(figure, "how-grasps")
 
 
+def first_plan(robot: Robot) -> None:
+    """The picture of docs/tutorials/first-plan.md, as its commands draw it, with fewer pixels and colours."""
+    scene = generate_plant(LEAFY)
+    result = plan(scene, robot, seed=1, iterations=2000)
+    target = FIGURES.parent / "demo.png"
+    draw(result, scene, robot, target)
+    with Image.open(target) as picture:
+        plain = picture.convert("RGB")
+    small = plain.resize((1600, round(plain.height * 1600 / plain.width)), Image.Resampling.LANCZOS)
+    small.quantize(256, kmeans=3, dither=Image.Dither.NONE).save(target, optimize=True)
+    print(target.name)
+
+
 FIGURES_BY_NAME = {
+    "first_plan": first_plan,
     "stages": stages,
     "fields": fields,
     "models": models,
@@ -317,11 +337,11 @@ def main() -> None:
     plt.rcParams.update({"font.size": 9.5, "svg.hashsalt": "lime_planner", "savefig.dpi": 200, "axes.grid": False})
     robot = Robot.load("kinova_j2s6s200")
     for name in sys.argv[1:] or FIGURES_BY_NAME:
-        draw = FIGURES_BY_NAME[name]
-        if draw is stages:
-            draw()
+        drawn = FIGURES_BY_NAME[name]
+        if drawn is stages:
+            drawn()
         else:
-            draw(robot)
+            drawn(robot)
 
 
 if __name__ == "__main__":
