@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from shown import is_shown
 
 ROOT = Path(__file__).resolve().parents[2]
 pytest.importorskip("mkdocs", reason="mkdocs is not in this environment (extra `docs`)")
@@ -130,7 +131,7 @@ def test_the_interfaces_are_what_the_nodes_open() -> None:
 
 
 def test_the_notebook_runs_and_is_small(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Every cell runs; the committed outputs are those of these cells, and not heavy."""
+    """Every cell runs; the committed outputs are those of these cells, their words and figures too, and not heavy."""
     import nbformat
 
     monkeypatch.syspath_prepend(str(ROOT / "docs" / "tools"))
@@ -144,9 +145,17 @@ def test_the_notebook_runs_and_is_small(tmp_path: Path, monkeypatch: pytest.Monk
         cells = [cell for cell in notebook.cells if cell.cell_type == "code"]
         return [sorted({output.output_type for output in cell.outputs if "Open3D" not in output.get("text", "")}) for cell in cells]
 
-    expected = kinds(kept)
+    def texts(notebook: Any) -> list[str]:
+        outputs = [output for cell in notebook.cells if cell.cell_type == "code" for output in cell.outputs]
+        found = [output.get("text") or output.get("data", {}).get("text/plain", "") for output in outputs]
+        return [text.replace(f"{tmp_path}/", "") for text in found if "Open3D" not in text]
+
+    expected, said = kinds(kept), texts(kept)
     assert all(expected), "outputs are missing; run: python docs/tools/run_notebook.py"
-    assert kinds(run_notebook.run(kept, tmp_path)) == expected
+    now = run_notebook.run(kept, tmp_path)
+    assert kinds(now) == expected
+    wrong = [(text, printed) for text, printed in zip(said, texts(now), strict=True) if not is_shown(text, printed)]
+    assert not wrong, "other outputs now; run: python docs/tools/run_notebook.py"
     assert "<b>SUCCEEDED</b>" in kept.cells[1].outputs[0].data["text/html"]
 
 
