@@ -38,7 +38,7 @@ class Timeline:
         length_rad: length of what is followed, in joint space.
         leaf_contact_rad: length of its part in contact with leaves.
         leaf_points: (P,) indices of the scene's leaf points that are touched at any time.
-        touched: (K, P) which of them are touched at each sample.
+        touched: (K, P) which of them are touched at each sample, or nearer to it than to any other.
     """
 
     times_s: Array
@@ -80,6 +80,13 @@ def timeline_of(pipeline: Pipeline, shown: PlanRecord) -> Timeline:
     contact = leaf_spans(obstacles, configurations)
     lengths = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(configurations, axis=0), axis=1))])
     marks = touched_points(robot, pipeline.shapes, configurations, scene.leaf_points, settings.leaf_point_radius_m)
+    # Contact that begins and ends between two samples shows at the nearer one: else leaves would cost that are never touched.
+    middles = contact.spans[:, :2].mean(axis=1)
+    between = np.array([np.interp(middles, lengths, column) for column in configurations.T]).T
+    for middle, mark in zip(
+        middles, touched_points(robot, pipeline.shapes, between, scene.leaf_points, settings.leaf_point_radius_m), strict=True
+    ):
+        marks[int(np.abs(lengths - middle).argmin())] |= mark
     ever = np.flatnonzero(marks.any(axis=0))
     return Timeline(
         times,

@@ -45,6 +45,7 @@ class Moment:
         settings: parameters of the next plan, without the page's own wishes.
         blocked_plan, blocked_motion, blocked_retreat: why the arm cannot be planned for, moved, or led back now; empty where it can.
         advice: what to do, where there is nothing to see yet.
+        doubts: sentences about scene, target and start that are hardly meant, as a plan would give them.
     """
 
     activity: Activity
@@ -61,6 +62,7 @@ class Moment:
     blocked_motion: str = ""
     blocked_retreat: str = ""
     advice: str = ""
+    doubts: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)

@@ -108,7 +108,14 @@ class Controls:
         return bool(self._layers[layer].value)
 
     def tell(
-        self, moment: Moment, shown: PlanRecord | None, timeline: Timeline | None, touched: str, changed: str, notes: Sequence[str]
+        self,
+        moment: Moment,
+        shown: PlanRecord | None,
+        timeline: Timeline | None,
+        touched: str,
+        changed: str,
+        warnings: Sequence[str],
+        notes: Sequence[str],
     ) -> None:
         """Put the moment into words, and show which button is the next one to press.
 
@@ -118,10 +125,12 @@ class Controls:
             timeline: its.
             touched: which leaves are touched, in HTML.
             changed: what the next plan is to reach, where that is not what it was asked for before.
+            warnings: what is hardly meant about scene, target and start.
             notes: what is drawn otherwise than one would think.
         """
-        advice = f"{changed} is chosen: press Plan." if changed and not moment.blocked_plan else ""
-        said = (words.status(moment, advice, notes), words.figures(shown, timeline, touched))
+        idle = moment.activity is Activity.IDLE and not moment.blocked_plan
+        advice = f"{changed} is chosen: press Plan." if changed and idle else ""
+        said = (words.status(moment, advice, warnings, notes), words.figures(shown, timeline, touched))
         if said[0] != self._said[0]:
             self._status.content = said[0]
         if said[1] != self._said[1]:

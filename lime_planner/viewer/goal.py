@@ -1,7 +1,12 @@
-"""What is to be reached: a lime that is chosen by click or by list, or a pose that is dragged or typed."""
+"""What is to be reached: a lime that is chosen by click or by list, or a pose that is dragged or typed.
+
+Viser's threads run its calls at the same time and in any order, while the next number is being typed. So they only leave a note, the page's
+thread looks at what has become of the fields, and what was typed is never written back: it would take the place of what came after it.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -14,18 +19,22 @@ from lime_planner.scene.scene import Scene
 from lime_planner.viewer.layers import set_visible
 
 _ARROW_M = 0.09
-GIVEN, POSED = "as given", "this pose"
+GIVEN, POSED = "the first target", "this pose"
 
 
 class Goal:
-    """The gizmo at the target and the fields that say the same; what they were changed to is wished for by the next plan."""
+    """The gizmo at the target and the fields that say the same; what they were changed to is wished for by the next plan.
 
-    def __init__(self, api: Any, gui: Any) -> None:
+    All its methods are for the page's thread.
+    """
+
+    def __init__(self, api: Any, gui: Any, note: Callable[[Callable[[], None]], None]) -> None:
         """Add the marker, hidden until there is a target, and the fields.
 
         Args:
             api: viser's scene.
             gui: viser's, in the container that the fields belong to.
+            note: lets the page's thread call something.
         """
         self._given: Array | None = None
         self._pose: Array | None = None
@@ -47,25 +56,41 @@ class Goal:
         # The palm comes along the marker's +z, from behind it.
         shaft = np.array([[[0.0, 0.0, -_ARROW_M], [0.0, 0.0, 0.0]]])
         api.add_arrows("/target/approach", shaft, (204, 26, 128), shaft_radius=0.004, head_radius=0.009, head_length=0.025)
-        self._gizmo.on_update(self._on_drag)
-        self._reach.on_update(self._on_chosen)
-        self._place.on_update(self._on_typed)
-        self._towards.on_update(self._on_typed)
-        back.on_click(lambda _: self.reset())
+        self._written = [tuple(field.value) for field in (self._place, self._towards)]  # by us, or taken already
 
-    def take(self, scene: Scene | None) -> None:
-        """Offer a scene's limes."""
+        def by_hand(call: Callable[[], None]) -> Callable[[Any], None]:
+            return lambda event: note(call) if event.client is not None else None
+
+        self._gizmo.on_update(lambda _: note(self._take_dragged))
+        self._reach.on_update(by_hand(self._take_chosen))
+        self._place.on_update(by_hand(self.take_typed))
+        self._towards.on_update(by_hand(self.take_typed))
+        back.on_click(lambda _: note(self.reset))
+
+    def take(self, scene: Scene | None, *, forget: bool) -> None:
+        """Offer a scene's limes.
+
+        Args:
+            scene: what there is now.
+            forget: whether it is another plant, not a newer look at the same: then what was chosen before does not count.
+        """
         self._centres = np.zeros((0, 3)) if scene is None or scene.fruit_centres is None else np.asarray(scene.fruit_centres, np.float64)
-        self._reach.options = (GIVEN, *(f"lime {number}" for number in range(len(self._centres))), POSED)
-        if self._reach.value != GIVEN:
-            self._reach.value = GIVEN
+        options = (GIVEN, *(f"lime {number}" for number in range(len(self._centres))), POSED)
+        kept = GIVEN if forget or self._reach.value not in options else self._reach.value
+        if tuple(self._reach.options) != options:
+            self._reach.options = options
+        if self._reach.value != kept:
+            self._reach.value = kept
+        if forget:
+            self._given = None
 
     def follow(self, target: Array | None) -> None:
-        """Stand at the target (7,), unless another was chosen."""
-        if target is self._given:
+        """Stand at the target (7,), unless another was chosen; one that is told again, or moves, leaves that as it is."""
+        before, self._given = self._given, target
+        if target is before or (target is not None and before is not None and np.array_equal(target, before)):
             return
-        self._given = target
-        self.reset()
+        if before is None or target is None or not self.changed:
+            self.reset()
 
     def wish(self) -> tuple[Array | None, Array | None]:
         """Return the pose (7,) or the lime's centre (3,) that the next plan is to reach; None twice for the target as it is."""
@@ -100,44 +125,51 @@ class Goal:
         return int(name.removeprefix("lime ")) if name.startswith("lime ") else None
 
     def _put(self, pose: Array) -> None:
+        self._stand(pose)
+        self._write(pose)
+
+    def _stand(self, pose: Array) -> None:
         self._pose = np.asarray(pose, dtype=np.float64)
         self._gizmo.position = pose[:3]
         self._gizmo.wxyz = pose[[6, 3, 4, 5]]
-        self._write(pose)
 
     def _write(self, pose: Array) -> None:
-        for field, values, decimals in ((self._place, pose[:3], 3), (self._towards, angles_of(pose), 0)):
-            shown = tuple(round(float(value), decimals) + 0.0 for value in values)
+        for number, (field, values, decimals) in enumerate(((self._place, pose[:3], 3), (self._towards, angles_of(pose), 0))):
+            shown = self._written[number] = tuple(round(float(value), decimals) + 0.0 for value in values)
             if tuple(field.value) != shown:
                 field.value = shown
 
-    def _on_chosen(self, event: Any) -> None:
-        if event.client is None:
-            return
+    def _take_chosen(self) -> None:
         number = self._lime()
         if number is not None:
             self.choose(number)
         elif self._reach.value == GIVEN:
             self.reset()
 
-    def _on_drag(self, _event: Any) -> None:
+    def _take_dragged(self) -> None:
         position, wxyz = np.asarray(self._gizmo.position, dtype=np.float64), np.asarray(self._gizmo.wxyz, dtype=np.float64)
         pose = np.concatenate([position, wxyz[[1, 2, 3, 0]]])
         pose_to_matrix(pose)  # raises on what is no pose
+        if self._pose is None or np.array_equal(pose, self._pose):
+            return  # put there by us meanwhile
         self._pose, self._reach.value = pose, POSED
         self._write(pose)
 
-    def _on_typed(self, event: Any) -> None:
-        if event.client is None or self._given is None or self._pose is None:
-            return
+    def take_typed(self) -> None:
+        """Take what the fields say; of their calls some may be yet to come."""
         # Only what was typed is taken: the other field is rounded.
+        place, towards = said = [tuple(field.value) for field in (self._place, self._towards)]
+        placed, turned = (now != written for now, written in zip(said, self._written, strict=True))
+        if not (placed or turned) or self._given is None or self._pose is None:
+            return
+        self._written = said
         T = pose_to_matrix(self._pose)
-        if event.target is self._place:
-            T[:3, 3] = self._place.value
-        else:
-            T[:3, :3] = frame_of(self._towards.value)
+        if placed:
+            T[:3, 3] = place
+        if turned:
+            T[:3, :3] = frame_of(towards)
         self._reach.value = POSED
-        self._put(matrix_to_pose(T))
+        self._stand(matrix_to_pose(T))
 
 
 def frame_of(angles_deg: Any) -> Array:

@@ -63,6 +63,22 @@ _SCRIPT = """
 })();
 """
 
+# The client sends what is typed 50 ms apart at most, and keeps only the newest message of the whole panel meanwhile: the last number of one
+# field would never arrive when the first of the next is typed at once. While something is typed that pause is left out.
+_TYPING = """
+(() => {
+  const PAUSE_MS = 50, later = setTimeout.bind(window);
+  let typing = false;
+  for (const name of ["input", "change", "keydown", "focusout"])
+    addEventListener(name, () => { typing = true; later(() => { typing = false; }, 0); }, {passive: true, capture: true});
+  window.setTimeout = (call, delay_ms, ...given) => {
+    if (!typing || delay_ms !== PAUSE_MS || typeof call !== "function") return later(call, delay_ms, ...given);
+    queueMicrotask(() => call(...given));
+    return 0;
+  };
+})();
+"""
+
 # Viser tells clicks in the scene and no moves of the pointer. Where it rests we ask the server what is drawn there, and say it beside it.
 # The camera is the client's own, which it lays into the window for its tests; without it, there still is the click.
 _POINTER = """
@@ -145,9 +161,9 @@ _KEYBOARD = """
 
 _STYLE = """
 :root { --lp-soft: #5c6066; --lp-line: #d8dade; --lp-bad: #b3261e; --lp-bad-back: #fdecea; --lp-good: #1b7a35; --lp-back: #f3f4f6;
-  --lp-ink: #1c1e21; --lp-free: #0072b2; --lp-leafy: #c24f00; --lp-stem: #73451f; --lp-other: #8a4f9e; }
+  --lp-warn: #8a5300; --lp-ink: #1c1e21; --lp-free: #0072b2; --lp-leafy: #c24f00; --lp-stem: #73451f; --lp-other: #8a4f9e; }
 :root[data-mantine-color-scheme="dark"] { --lp-soft: #a9adb4; --lp-line: #45484d; --lp-bad: #ff8a80; --lp-bad-back: #45211f;
-  --lp-ink: #e6e7ea; --lp-good: #6fcf87; --lp-back: #2f3136; --lp-free: #5db5ea; --lp-leafy: #ff9a4d;
+  --lp-ink: #e6e7ea; --lp-good: #6fcf87; --lp-warn: #ffc46b; --lp-back: #2f3136; --lp-free: #5db5ea; --lp-leafy: #ff9a4d;
   --lp-stem: #c99a6f; --lp-other: #d19be3; }
 /* Mantine's own greys and blues have less than 4.5:1 on white. */
 :root:root[data-mantine-color-scheme] { --mantine-color-dimmed: var(--lp-soft); }
@@ -162,6 +178,8 @@ _STYLE = """
 .lp-status.refused b { color: var(--lp-bad); }
 .lp-status.found { border-color: var(--lp-good); }
 .lp-status .what { font-size: 0.88em; overflow-wrap: anywhere; }
+.lp-status .warning { font-size: 0.88em; overflow-wrap: anywhere; margin: 4px 0; padding-left: 6px; border-left: 3px solid var(--lp-warn); }
+.lp-status .warning b { color: var(--lp-warn); }
 .lp-status .note { font-size: 0.8em; color: var(--lp-soft); }
 .lp-table { width: calc(100% - 20px); margin: 2px 10px 4px; border-collapse: collapse; font-size: 0.84em;
   font-variant-numeric: tabular-nums; }
@@ -169,7 +187,7 @@ _STYLE = """
 .lp-table td:first-child, .lp-table th { color: var(--lp-soft); white-space: nowrap; }
 .lp-table td.n { text-align: right; white-space: nowrap; }
 .lp-table td.better { color: var(--lp-good); font-weight: bold; }
-.lp-legend { display: grid; grid-template-columns: 1fr 1fr; gap: 2px 10px; font-size: 0.8em; }
+.lp-legend { margin: 2px 10px 6px; display: grid; grid-template-columns: 1fr 1fr; gap: 2px 10px; font-size: 0.8em; }
 .lp-legend i { display: inline-block; width: 12px; height: 12px; border-radius: 3px; margin-right: 6px; vertical-align: -1px; }
 .mantine-Paper-root[role=button]:focus-visible { outline: 2px solid var(--lp-free); }
 .lp-under { position: fixed; z-index: 50; max-width: 260px; padding: 4px 8px; border-radius: 4px; pointer-events: none; font-size: 0.82em;
@@ -205,7 +223,7 @@ def with_our_head(page: bytes, *, gzipped: bool) -> bytes:
 @lru_cache(maxsize=4)
 def _dressed(page: bytes, gzipped: bool) -> bytes:
     html = gzip.decompress(page) if gzipped else page
-    head = f'<link rel="icon" href="{_ICON}"/><script>{_SCRIPT}{_POINTER}{_KEYBOARD}</script><style>{_STYLE}</style>'
+    head = f'<link rel="icon" href="{_ICON}"/><script>{_SCRIPT}{_TYPING}{_POINTER}{_KEYBOARD}</script><style>{_STYLE}</style>'
     html = re.sub(rb'<link\s+rel="icon"[^>]*>', b"", html, count=1)
     html = html.replace(b"<title>Viser</title>", f"<title>Lime planner</title>{head}".encode(), 1)
     return gzip.compress(html, 6) if gzipped else html

@@ -133,7 +133,7 @@ class Page:
         # Before there is a scene, the way to one is all that there is.
         self._of_scene = [gui.add_folder("Goal", visible=False)]
         with self._of_scene[0]:
-            self._goal = Goal(server.scene, gui)
+            self._goal = Goal(server.scene, gui, self._note)
             Cameras(gui, lambda: None if self._shown is None else self._shown.target)
         self._of_scene.append(gui.add_folder("Arm", expand_by_default=False, visible=False))
         with self._of_scene[1]:
@@ -154,6 +154,7 @@ class Page:
         self._note(self._plan)
 
     def _plan(self) -> None:
+        self._goal.take_typed()  # the call of the last number may come after the button's
         pose, fruit = self._goal.wish()
         self._backend.plan(Wishes(self._controls.wishes(self._backend.moment().settings), pose, fruit))
 
@@ -230,9 +231,9 @@ class Page:
         self._starting.show(moment)
         self._history.draw()
         self._arm_controls.follow(moment)
-        warnings = () if self._shown is None else self._shown.result.warnings
-        notes = [*warnings, *(self._plant.notes if self._plant is not None else []), *self._extras.notes]
-        self._controls.tell(moment, self._shown, self._timeline, touched, self._changed(), notes)
+        warnings = tuple(dict.fromkeys((*moment.doubts, *(() if self._shown is None else self._shown.result.warnings))))
+        notes = [*(self._plant.notes if self._plant is not None else []), *self._extras.notes]
+        self._controls.tell(moment, self._shown, self._timeline, touched, self._changed(), warnings, notes)
 
     def _changed(self) -> str:
         """What the next plan is to reach, where the newest one was not made for it."""
@@ -286,7 +287,7 @@ class Page:
                 self._plant = Plant(api, moment.scene, centre=np.zeros(3), reach_m=reach_m, on_lime=self._on_lime)
                 self._pointing = Pointing(moment.scene, reach_m=reach_m)
             self._scene = moment.scene
-            self._goal.take(moment.scene)
+            self._goal.take(moment.scene, forget=self._backend.opens)
             for folder in self._of_scene:
                 folder.visible = moment.scene is not None
         self._goal.follow(moment.target)

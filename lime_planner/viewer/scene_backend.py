@@ -19,6 +19,7 @@ from lime_planner.motion.trajectory import Trajectory
 from lime_planner.motion.way_back import straight_back, way_back
 from lime_planner.output.console import compile_first
 from lime_planner.pipeline import Pipeline, PlanResult
+from lime_planner.pipeline.plausibility import doubts_about
 from lime_planner.pipeline.result import PlanRecord
 from lime_planner.pipeline.scene_targets import own_target
 from lime_planner.pipeline.targets import Target, fruit_target, pose_target, target_of
@@ -33,6 +34,8 @@ _ADVICE = (
     "Nothing to show yet. Open a scene of yours with the button below (.npz with points and labels), "
     "or grow a lime plant to try the planner on."
 )
+
+_NO_TARGET = "the scene has no target: drag the marker to where the tool is to go, or type it, and press Plan"
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -92,6 +95,8 @@ class SceneBackend:
         self._way_out: PlanResult | None = None  # the plan that was carried out last
         self._shown: PlanRecord | None = None
         self._count = 0
+        self._made_up = False  # the target stands where the page put it: the scene has none
+        self._doubts: tuple[str, ...] = ()
         self._message = "loading the arm's model"
         with self._lock:
             self._submit(lambda _: self._load(load_robot, saved))
@@ -134,6 +139,7 @@ class SceneBackend:
                 self._why_no_motion(),
                 self._why_no_retreat(),
                 _ADVICE if self._scene is None else "",
+                self._doubts,
             )
 
     def plan(self, wishes: Wishes) -> None:
@@ -153,6 +159,7 @@ class SceneBackend:
                 return
             assert self._pipeline is not None and self._scene is not None and aim is not None
             pipeline, scene, goal = self._pipeline, self._scene, aim
+            self._message = f"searching for a path ({settings.planner})"
             self._submit(lambda stop: self._make_plan(pipeline, scene, goal, settings, stop))
 
     def execute(self, number: int) -> None:
@@ -205,9 +212,8 @@ class SceneBackend:
             self._scene, self._shown, self._way_out, self.title = scene, None, None, title
             self._aim = self._own(scene)
             self._target = None if self._aim is None else self._aim.shown_pose()
-            self._message = f"{title}: {scene.n_points} points"
-            if self._target is None:
-                self._message += "; it has no target: drag the marker to where the tool is to go"
+            self._made_up, self._doubts = False, scene.notes
+            self._message = f"{title}: {scene.n_points} points; {'press Plan' if self._target is not None else _NO_TARGET}"
             if self._robot is not None:
                 self._fit(self._robot)
 
@@ -271,7 +277,11 @@ class SceneBackend:
         if not self._scene.frame_id:
             self._scene = dataclasses.replace(self._scene, frame_id=robot.planning_frame)
         if self._aim is None:
+            self._made_up = True
             self._set_aim(pose_target(_place_to_begin(self._scene, robot), self._settings.grasp_freedom))
+        assert self._aim is not None
+        start = home(robot) if self._q is None else self._q
+        self._doubts = (*self._scene.notes, *doubts_about(self._scene, robot, self._aim.centre, start))
 
     def _own(self, scene: Scene | None) -> Target | None:
         """What a scene is about: its target's fruit, with the approach free, where it knows its fruit."""
@@ -327,12 +337,12 @@ class SceneBackend:
         pipeline.warm_up()
         with self._lock:
             self._ready = True
-            self._message = result.message if result is not None else "press Plan" if self._scene is not None else "waiting for a scene"
+            next_step = _NO_TARGET if self._made_up else "press Plan" if self._scene is not None else "waiting for a scene"
+            self._message = next_step if result is None else result.message
 
     def _make_plan(self, pipeline: Pipeline, scene: Scene, aim: Target, settings: Settings, stop: threading.Event) -> None:
         with self._lock:
             q = self._measured()
-            self._message = f"searching for a path ({settings.planner})"
         assert q is not None
         result = pipeline.plan(scene, aim, q, settings, should_stop=stop.is_set)
         self._say(result.message)
@@ -372,7 +382,8 @@ class SceneBackend:
 def _place_to_begin(scene: Scene, robot: Robot) -> Array:
     """Return a pose (7,) among the leaves within reach, or in front of the arm where there are none."""
     try:
-        poses = canopy_targets(scene, np.random.default_rng(0), 20)
+        poses = [pose for pose in canopy_targets(scene, np.random.default_rng(0), 20) if np.linalg.norm(pose[:3]) < robot.reach_m]
     except SceneError:
-        poses = [grasp_pose((0.5 * robot.reach_m, 0.0, 0.5 * robot.reach_m), (1.0, 0.0, 0.0), 0.0)]
+        poses = []
+    poses = poses or [grasp_pose((0.5 * robot.reach_m, 0.0, 0.5 * robot.reach_m), (1.0, 0.0, 0.0), 0.0)]
     return min(poses, key=lambda pose: float(np.linalg.norm(pose[:3])))

@@ -39,13 +39,14 @@ def in_words(moment: Moment) -> str:
     return message
 
 
-def status(moment: Moment, advice: str, notes: Sequence[str]) -> str:
+def status(moment: Moment, advice: str, warnings: Sequence[str], notes: Sequence[str]) -> str:
     """Return the headline.
 
     Args:
         moment: what there is to see.
         advice: what to do next, empty where the sentence says it.
-        notes: what is drawn otherwise than one would think, and what was asked for that is hardly meant.
+        warnings: what is hardly meant about scene, target and start; they stand out.
+        notes: what is drawn otherwise than one would think.
     """
     head, sign, kind, sentence = moment.activity.value, _SIGNS[moment.activity], "", in_words(moment)
     if refused(moment):
@@ -58,6 +59,7 @@ def status(moment: Moment, advice: str, notes: Sequence[str]) -> str:
         f'<div class="lp-status {kind}" role="status" aria-live="polite" data-state="{html.escape(head)}">',
         f'<b><span aria-hidden="true">{sign}</span> {html.escape(head)}</b>',
         f'<div class="what">{html.escape(sentence)}</div>',
+        *(f'<div class="warning"><b><span aria-hidden="true">⚠</span> Warning:</b> {html.escape(warning)}</div>' for warning in warnings),
         *(f'<div class="note">{html.escape(note)}</div>' for note in ([advice] if advice else []) + list(notes)),
         "</div>",
     ]

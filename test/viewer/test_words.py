@@ -36,14 +36,14 @@ def found() -> PlanRecord:
 
 def test_a_refusal_is_told_from_a_find(found: PlanRecord) -> None:
     message = "GOAL_IN_STEM: all 3 <b>configurations</b> are blocked"
-    refused = words.status(Moment(Activity.IDLE, message, settings(), blocked_motion="no plan"), "", [])
+    refused = words.status(Moment(Activity.IDLE, message, settings(), blocked_motion="no plan"), "", [], [])
     assert 'class="lp-status refused"' in refused and 'data-state="Refused: GOAL_IN_STEM"' in refused
     assert "All 3 &lt;b&gt;configurations&lt;/b&gt; are blocked" in refused
-    made = words.status(Moment(Activity.IDLE, found.result.message, settings(), shown=found), "", ["a <note>"])
+    made = words.status(Moment(Activity.IDLE, found.result.message, settings(), shown=found), "", [], ["a <note>"])
     assert 'class="lp-status found"' in made and "A path is found; nothing has moved" in made and "a &lt;note&gt;" in made
     for calm in ("CANCELLED: stopped from the page", "press Plan"):
-        assert "refused" not in words.status(Moment(Activity.IDLE, calm, settings(), blocked_motion="no plan"), "", [])
-    assert "refused" not in words.status(Moment(Activity.PLANNING, message, settings()), "", [])
+        assert "refused" not in words.status(Moment(Activity.IDLE, calm, settings(), blocked_motion="no plan"), "", [], [])
+    assert "refused" not in words.status(Moment(Activity.PLANNING, message, settings()), "", [], [])
 
 
 def test_table_and_plots_measure_the_same(found: PlanRecord) -> None:
