@@ -65,6 +65,11 @@ def add_parameters(parser: argparse.ArgumentParser, *, live: bool = True) -> Non
     )
 
 
+def add_label_field(parser: argparse.ArgumentParser) -> None:
+    """Declare the option that names the label of PLY and PCD files: the parameter `label_field`, for those who need no other."""
+    parser.add_argument("--label-field", metavar="NAME", help="field of the label in PLY and PCD files (default label)")
+
+
 def add_topics(parser: argparse.ArgumentParser, *, without: tuple[str, ...] = ()) -> None:
     """Declare the options for the topics.
 

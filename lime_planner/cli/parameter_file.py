@@ -81,7 +81,9 @@ def read_parameter_file(path: Path, namespace: str = "", node: str = NODE) -> Pa
 
 
 def given_parameters(args: argparse.Namespace) -> dict[str, Any]:
-    """Return what `--params` with `--namespace` and `--set` set together, the latter over the former; warnings go to standard error.
+    """Return what `--params` with `--namespace`, `--set` and `--label-field` set together, the later over the former.
+
+    Warnings about the file go to standard error.
 
     Raises:
         ParameterError: see `read_parameter_file` and `parse_assignment`.
@@ -92,7 +94,9 @@ def given_parameters(args: argparse.Namespace) -> dict[str, Any]:
         values |= file.values
         for sentence in file.warnings:
             print(f"{args.params}: {sentence}", file=sys.stderr)
-    return {**values, **dict(parse_assignment(text) for text in args.assignments)}
+    values |= dict(parse_assignment(text) for text in args.assignments)
+    field = getattr(args, "label_field", None)
+    return values if field is None else {**values, "label_field": field}
 
 
 def matches(key: str, name: str) -> bool:

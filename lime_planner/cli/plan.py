@@ -7,13 +7,15 @@ import dataclasses
 import signal
 import sys
 import threading
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from lime_planner.cli.arguments import (
     LABEL_PARAMETERS,
     add_bag,
+    add_label_field,
     add_parameters,
     add_topics,
     load_arm,
@@ -23,16 +25,17 @@ from lime_planner.cli.arguments import (
     topics_of,
 )
 from lime_planner.cli.grasp_targets import add_fruit_options, check_together, targets_of
-from lime_planner.cli.next_step import next_command
-from lime_planner.core.errors import ParameterError, UsageError
+from lime_planner.core.errors import LimePlannerError, ParameterError, UsageError
 from lime_planner.core.parameters import PARAMETERS, Settings, settings_from
 from lime_planner.core.planners import PLANNERS
 
 if TYPE_CHECKING:
-    from lime_planner.pipeline import PlanResult
+    from lime_planner.pipeline import Pipeline, PlanResult
     from lime_planner.robot.model import Robot
     from lime_planner.scene.files import Start
     from lime_planner.scene.scene import Scene
+
+_TRIAL_S, _TRIALS_S = 1.0, 6.0  # what a command that may be worth a try, and all of them, are tried for
 
 _EPILOG = """\
 SCENE is an .npz with points (N, 3) [m] and labels (0 leaf, 1 stem, 2 fruit), or
@@ -81,6 +84,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--offset", nargs=3, type=float, metavar=("X", "Y", "Z"), help="then move the scene by this [m]")
     add_json(parser, "every figure, the path and the trajectory")
     parser.add_argument("--picture", type=Path, metavar="FILE", help="draw plant, arm and path; .png, .svg or .pdf")
+    add_label_field(parser)
     add_parameters(parser, live=False)
     add_bag(parser)
     add_topics(parser, without=("grasp_target",))
@@ -192,7 +196,79 @@ def plan_in(scene: Scene, robot: Robot, settings: Settings, args: argparse.Names
         result = plan_first(
             targets, lambda target: pipeline.plan(scene, target, q_start, settings, should_stop=should_stop, seed=settings.seed)
         )
-    return _report(result, scene, robot, args)
+    code = _report(result, scene, robot, args)
+    if not result.succeeded:
+        following = _following(result, scene, start, settings, pipeline, args, should_stop)
+        if following:
+            print(f"try: {following}", file=sys.stderr)
+    return code
+
+
+def _following(
+    result: PlanResult,
+    scene: Scene,
+    start: Start | None,
+    settings: Settings,
+    pipeline: Pipeline,
+    args: argparse.Namespace,
+    should_stop: Callable[[], bool],
+) -> str:
+    """Return the command that is worth a try after a refusal, tried itself in a few seconds; empty where there is none."""
+    import numpy as np
+
+    from lime_planner.cli.next_step import Refused, next_command
+    from lime_planner.output.console import working
+    from lime_planner.pipeline.obstacles import stem_checker
+
+    recorded = args.bag is not None
+    end_s = time.monotonic() + _TRIALS_S
+
+    def stopped() -> bool:
+        return time.monotonic() > end_s or should_stop()
+
+    def works(words: Sequence[str]) -> bool:
+        return not stopped() and _leads_to_a_motion(words, (scene, start) if recorded else None, pipeline, stopped)
+
+    spot = None if result.target is None else result.target.spot(scene, settings)
+    refused = Refused(
+        tuple(args.words),
+        "" if recorded else str(args.scene),
+        float(args.scale),
+        np.array(args.offset if args.offset is not None else (0.0, 0.0, 0.0)),
+        scene,
+        pipeline.robot,
+        result,
+        lambda: stem_checker(pipeline.robot, scene, spot, settings, stopped),
+    )
+    with working("looking for what to try next"):
+        return next_command(refused, works)
+
+
+def _leads_to_a_motion(
+    words: Sequence[str], recorded: tuple[Scene, Start | None] | None, pipeline: Pipeline, should_stop: Callable[[], bool]
+) -> bool:
+    """Tell whether a command would succeed; what it reads from a recording is given."""
+    from lime_planner.cli.main import build_parser
+    from lime_planner.pipeline.scene_targets import plan_first
+    from lime_planner.scene.files import load_start
+
+    robot = pipeline.robot
+    try:
+        args = build_parser(words).parse_args(list(words))
+        values = read_parameters(args)
+        settings = settings_from({name: value for name, value in values.items() if name in PARAMETERS})
+        _sort_arguments(args)
+        scene, start = recorded or (read_scene(args, values), load_start(args.scene))
+        if scene.frame_id not in ("", robot.planning_frame):
+            return False
+        q_start = _start(args, robot, start)
+        targets = targets_of(args, scene, settings, robot.forward(q_start)[:3, 3])
+        if not targets:
+            return False
+        quick = dataclasses.replace(settings, iterations=0, time_budget_s=min(settings.time_budget_s, _TRIAL_S))
+        return plan_first(targets, lambda one: pipeline.plan(scene, one, q_start, quick, should_stop=should_stop)).succeeded
+    except (LimePlannerError, SystemExit):
+        return False
 
 
 def _stopped_by_signal() -> Callable[[], bool]:
@@ -231,13 +307,10 @@ def _provenance(args: argparse.Namespace) -> dict[str, Any]:
 
 def _report(result: PlanResult, scene: Scene, robot: Robot, args: argparse.Namespace) -> int:
     from lime_planner.cli.json_output import emit_json, is_stdout
-    from lime_planner.core.geometry import quaternion_doubt
     from lime_planner.core.status import Status
     from lime_planner.output.console import print_plans, warn
 
     figures = result.figures()
-    given = args.target if args.target is not None and len(args.target) == 7 else None
-    figures["warnings"] += [sentence for sentence in (given and quaternion_doubt(given),) if sentence]
     for sentence in figures["warnings"]:
         warn(sentence)
     quiet = is_stdout(args.json)
@@ -255,9 +328,6 @@ def _report(result: PlanResult, scene: Scene, robot: Robot, args: argparse.Names
             print(f"picture: {args.picture}")
     if result.status is not Status.SUCCEEDED:
         print(result.message, file=sys.stderr)
-        following = next_command(args.words, "" if args.bag is not None else str(args.scene), result.status, figures)
-        if following:
-            print(f"try: {following}", file=sys.stderr)
         return 1
     if quiet:
         return 0

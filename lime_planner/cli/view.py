@@ -32,7 +32,7 @@ examples:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the command's arguments."""
-    from lime_planner.cli.arguments import add_parameters
+    from lime_planner.cli.arguments import add_label_field, add_parameters
 
     parser.epilog = _EPILOG
     parser.add_argument("what", metavar="FILE", nargs="?", type=Path, help="a scene (.npz, .ply, .pcd) or a saved plan (.json)")
@@ -49,6 +49,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--start", nargs="+", type=float, metavar="Q", help="joint angles at the start [rad]; default: the arm's home")
     parser.add_argument("--scale", type=float, default=1.0, metavar="S", help="metres for each unit of the scene file (default 1)")
     parser.add_argument("--offset", nargs=3, type=float, metavar=("X", "Y", "Z"), help="then move the scene by this [m]")
+    add_label_field(parser)
     add_parameters(parser, live=False)
     parser.set_defaults(planner=None, iterations=None, seed=None, time=None)
 

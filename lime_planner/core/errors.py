@@ -20,6 +20,10 @@ class Refusal(LimePlannerError):
         self.status = status
 
 
+class PlausibilityWarning(UserWarning):
+    """What a plan in Python was asked for with is hardly meant: lengths in another unit, another axis, labels without a meaning."""
+
+
 class SceneError(LimePlannerError, ValueError):
     """A scene file or a cloud that cannot be used; the text names the file, the field and what was expected."""
 

@@ -183,7 +183,7 @@ class Pipeline:
                 target=aim,
                 q_start=q,
                 parameters=set_parameters(settings, self.robot),
-                warnings=doubts_about(scene, self.robot, aim.centre, q),
+                warnings=(*filter(None, [aim.doubt]), *doubts_about(scene, self.robot, aim.centre, q)),
                 **(asked | figures),
             )
 

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
+from lime_planner.core.geometry import quaternion_doubt
 from lime_planner.core.types import Array
 from lime_planner.robot.model import Robot
 from lime_planner.scene.scene import Scene
 
 _FAR = 10.0  #: times the arm's reach: what is that far away is hardly meant
+_PLANT = 5.0  #: times the arm's reach, at most, and at least as small a part of it: so large is a scene that is in metres
+_FRAME = "is that in the frame of the arm's base? move it with --offset"
 _NEAR_SHARE = 0.01  #: of the points that must be within reach, for the rest to be a background
 _UNKNOWN_SHARE = 0.9  #: of labels that are in no class
 _TURNS_RAD = 4.0 * np.pi  #: no joint with limits starts beyond two turns
@@ -26,15 +29,36 @@ def doubts_about(scene: Scene, robot: Robot, target: Array, q_start: Array) -> t
         target: where the tool is to be, (3,) [m].
         q_start: (n,) [rad].
     """
-    found = [_about_target(robot, target), _about_start(robot, q_start), _about_labels(scene)]
-    found.append(_about_place(scene, robot) or _about_axes(scene))
+    found = [_about_target(robot, target, scene), _about_start(robot, q_start), *_about_points(scene, robot)]
     return tuple(filter(None, found))
 
 
-def _about_target(robot: Robot, place: Array) -> str:
+def doubts_about_scene(scene: Scene, robot: Robot) -> tuple[str, ...]:
+    """Return the same sentences about a scene and its own target, whatever will be planned in it.
+
+    Args:
+        scene: in the planning frame [m]; of a scene in another one, only the labels and the target's quaternion are judged.
+        robot: an arm that is to reach into it.
+    """
+    pose = scene.target_pose
+    found = ["" if pose is None else quaternion_doubt(pose)]
+    if scene.frame_id not in ("", robot.planning_frame):
+        return tuple(filter(None, [*found, _about_labels(scene)]))
+    found.append("" if pose is None else _about_target(robot, np.asarray(pose[:3], dtype=np.float64), scene))
+    return tuple(filter(None, [*found, *_about_points(scene, robot)]))
+
+
+def _about_points(scene: Scene, robot: Robot) -> tuple[str, str]:
+    return _about_labels(scene), _about_place(scene, robot) or _about_axes(scene)
+
+
+def _about_target(robot: Robot, place: Array, scene: Scene) -> str:
     distance_m = float(np.linalg.norm(place))
     if distance_m <= _FAR * robot.reach_m:
         return ""
+    points = _points(scene)
+    if len(points) and as_large_as_a_plant(points, robot) and (np.abs(place - points.mean(axis=0)) <= _PLANT * robot.reach_m).all():
+        return f"the target is {distance_m:.4g} m away with its scene, the arm reaches {robot.reach_m:.2f} m: {_FRAME}"
     return f"the target is {distance_m:.4g} m away, the arm reaches {robot.reach_m:.2f} m: {_unit(distance_m / robot.reach_m)}"
 
 
@@ -61,7 +85,11 @@ def _about_place(scene: Scene, robot: Robot) -> str:
     near, nearest_m = int((distances <= robot.reach_m).sum()), float(distances.min())
     size_m = float(np.ptp(points, axis=0).max())
     if near == 0:
-        hint = _unit(max(nearest_m, size_m) / robot.reach_m) if max(nearest_m, size_m) > _FAR * robot.reach_m else "move it with --offset?"
+        farthest_m = max(nearest_m, size_m)
+        if farthest_m <= _FAR * robot.reach_m:
+            hint = "move it with --offset?"
+        else:
+            hint = _FRAME if as_large_as_a_plant(points, robot) else _unit(farthest_m / robot.reach_m)
         return (
             f"none of the scene's {len(points)} points is within the arm's reach of {robot.reach_m:.2f} m; the nearest is "
             f"{nearest_m:.4g} m away, and the scene extends over {size_m:.4g} m: {hint}"
@@ -72,6 +100,11 @@ def _about_place(scene: Scene, robot: Robot) -> str:
             f"{size_m:.4g} m: {_unit(size_m / robot.reach_m)}"
         )
     return ""
+
+
+def as_large_as_a_plant(points: Array, robot: Robot) -> bool:
+    """Whether a scene of points (N, 3), N at least 1, is as large as what stands before an arm: then it is in metres, wherever it is."""
+    return 1.0 / _PLANT <= float(np.ptp(points, axis=0).max()) / robot.reach_m <= _PLANT
 
 
 def _about_axes(scene: Scene) -> str:

@@ -153,7 +153,7 @@ class PlanResult:
         return self.succeeded
 
     def __repr__(self) -> str:
-        return f"<PlanResult {self.message}>"
+        return f"<PlanResult {self.message}" + "".join(f"; warning: {sentence}" for sentence in self.warnings) + ">"
 
     def _repr_html_(self) -> str:
         """Return the figures that matter as a table, for notebooks."""
@@ -165,7 +165,8 @@ class PlanResult:
         rows += [(f"{words} [{unit}]", f"{value:.{decimals}f}") for words, unit, value, decimals in figures if np.isfinite(value)]
         cells = "".join(f"<tr><td>{html.escape(words)}</td><td>{html.escape(text)}</td></tr>" for words, text in rows)
         code, _, sentence = self.message.partition(": ")
-        return f"<p><b>{html.escape(code)}</b>: {html.escape(sentence)}</p><table>{cells}</table>"
+        doubts = "".join(f"<p>warning: {html.escape(doubt)}</p>" for doubt in self.warnings)
+        return f"<p><b>{html.escape(code)}</b>: {html.escape(sentence)}</p>{doubts}<table>{cells}</table>"
 
     def save(
         self,

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lime_planner.core.errors import ProblemError
-from lime_planner.core.geometry import matrix_to_pose, pose_to_matrix
+from lime_planner.core.geometry import matrix_to_pose, pose_to_matrix, quaternion_doubt
 from lime_planner.core.parameters import Settings
 from lime_planner.core.types import Array
 from lime_planner.core.validation import floats, shown
@@ -37,6 +37,7 @@ class Target:
         poses: (P, 4, 4) T_base_tool of the candidates or of the pose; P is 0 for a fruit.
         freedom: of a pose: `exact`, `roll` (any turn about the approach) or `cone` (also approaches around its own).
         radius_m: of the fruit where it is known, else None.
+        doubt: a sentence about how it was given that is hardly meant, empty for none.
     """
 
     kind: Kind
@@ -44,6 +45,7 @@ class Target:
     poses: Array
     freedom: Freedom = "exact"
     radius_m: float | None = None
+    doubt: str = ""
 
     @property
     def exact(self) -> bool:
@@ -123,7 +125,7 @@ def pose_target(pose: npt.ArrayLike, freedom: str = "exact") -> Target:
     if freedom not in get_args(Freedom):
         raise ProblemError(f"the grasp's freedom is {freedom!r}; allowed: one of {', '.join(get_args(Freedom))}")
     chosen: Any = freedom
-    return Target("pose", T[:3, 3].copy(), T[None], chosen)
+    return Target("pose", T[:3, 3].copy(), T[None], chosen, doubt=_doubt(values))
 
 
 def fruit_target(centre: npt.ArrayLike, radius_m: float | None = None) -> Target:
@@ -167,7 +169,12 @@ def candidates_target(poses: npt.ArrayLike) -> Target:
         except ProblemError as error:
             raise ProblemError(f"grasp candidate {number} of {len(values)}: {error}") from None
     stacked = np.stack(matrices)
-    return Target("candidates", np.median(stacked[:, :3, 3], axis=0), stacked)
+    doubts = [f"grasp candidate {number} of {len(values)}: {found}" for number, pose in enumerate(values, 1) if (found := _doubt(pose))]
+    return Target("candidates", np.median(stacked[:, :3, 3], axis=0), stacked, doubt=doubts[0] if doubts else "")
+
+
+def _doubt(pose: Array) -> str:
+    return quaternion_doubt(pose) if pose.shape == (7,) else ""
 
 
 def target_of(value: Target | npt.ArrayLike, freedom: str = "exact") -> Target:

@@ -48,8 +48,8 @@ def test_real_scans_raise_no_doubt() -> None:
         (1000.0, (0, 0, 0), "is that in millimetres?"),
         (100.0, (0, 0, 0), "is that in centimetres, or in another frame?"),
         (1.0, (3.0, 0, 0), "move it with --offset?"),
-        (1.0, (500.0, 4000.0, 0), "in millimetres?"),
-        (1.0, (500_000.0, 4_000_000.0, 100.0), "in metres, and in the frame of the arm's base?"),
+        (1.0, (30.0, 0.0, 0), "is that in the frame of the arm's base? move it with --offset"),
+        (1.0, (500_000.0, 4_000_000.0, 100.0), "is that in the frame of the arm's base? move it with --offset"),
     ],
 )
 def test_scenes_out_of_reach(factor: float, offset: tuple[float, float, float], words: str) -> None:
@@ -94,6 +94,11 @@ def test_targets_and_starts() -> None:
     far[:3, 3] *= 1000.0
     (found,) = doubts(plant(), far)
     assert found.startswith("the target is 714.1 m away, the arm reaches ") and found.endswith("is that in millimetres?")
+    scene, there = changed(plant(), 1.0, (30.0, 0.0, 0.0)), TARGET.copy()
+    there[0, 3] += 30.0
+    about_target, about_scene = doubts(scene, there)
+    assert about_target.startswith("the target is 30.5 m away with its scene, the arm reaches ") and "metres" not in about_target
+    assert about_scene.startswith("none of the scene's") and "metres" not in about_scene
     (found,) = doubts(plant(), start=[275.0, 167.0, 57.0, 241.0, 83.0, 75.0])
     assert found == "the start is 275, 167, 57, 241, 83, 75 rad, 44 turns: is it in degrees?"
     assert doubts(plant(), start=[4.8 + 2 * np.pi, 2.9, 1.0, 4.2, 1.4, 1.3]) == ()

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from lime_planner.core.errors import ParameterError
-from lime_planner.core.parameters import PARAMETERS, parse_assignment, settings_from, validate
+from lime_planner.core.parameters import NODE_PARAMETERS, PARAMETERS, parse_assignment, settings_from, validate
 from lime_planner.core.status import Status
 from lime_planner.robot.builtin import demo_arm
 from lime_planner.ros.demo.processes import Corner, DemoError, Processes
@@ -59,6 +59,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--offset", nargs=3, type=float, metavar=("X", "Y", "Z"), help="then move the scene by this [m]")
     pose = ("X", "Y", "Z", "QX", "QY", "QZ", "QW")
     parser.add_argument("--target", nargs=7, type=float, metavar=pose, help="pose of the tool at the fruit; default: the scene's, or drawn")
+    parser.add_argument("--label-field", metavar="NAME", help="field of the label in PLY and PCD files (default label)")
     parser.add_argument("--controller", choices=("jtc", "kinova"), default="jtc", help="whose rules the arm follows (default jtc)")
     looks = f"looks of the arm's camera before the reach; 0: every point is known; default: {DEFAULT_LOOKS} at a generated plant, else 0"
     parser.add_argument("--looks", type=int, metavar="N", help=looks)
@@ -93,6 +94,7 @@ def run(args: argparse.Namespace) -> int:
     """Run the demo; 0 only if the arm ended at the target."""
     clock = Clock()
     values = dict(parse_assignment(text) for text in args.assignments)
+    field = label_field(args, values)
     choose_arm(values, clock)
     planning = {name: value for name, value in values.items() if name in PARAMETERS}
     settings = settings_from(planning)
@@ -105,7 +107,7 @@ def run(args: argparse.Namespace) -> int:
     from lime_planner.ros.model_loader import build
 
     clock.say("reading the scene" if args.scene else "growing a lime plant")
-    scene = scene_of(args)
+    scene = scene_of(args, field)
     try:
         if not args.out.is_dir():
             clock.say(f"making the folder {args.out}")
@@ -154,8 +156,19 @@ def _looking(looks: int, scene: Scene, settings: Settings) -> dict[str, Any]:
     }
 
 
-def scene_of(args: argparse.Namespace) -> Scene:
-    """Load or grow the scene and put it where the options say; its frame is empty where a file names none."""
+def label_field(args: argparse.Namespace, values: dict[str, Any]) -> str:
+    """Take the name of the label in the scene's file out of the parameters: the nodes get the scene in clouds whose field is `label`."""
+    named = str(values.pop("label_field", NODE_PARAMETERS["label_field"].default))
+    return named if args.label_field is None else str(args.label_field)
+
+
+def scene_of(args: argparse.Namespace, field: str) -> Scene:
+    """Load or grow the scene and put it where the options say; its frame is empty where a file names none.
+
+    Args:
+        args: of the command.
+        field: name of the label in PLY and PCD files.
+    """
     import numpy as np
 
     from lime_planner.scene.plants.generator import generate_plant
@@ -164,7 +177,7 @@ def scene_of(args: argparse.Namespace) -> Scene:
     if args.scene is None:
         scene = generate_plant(np.random.default_rng(args.plant_seed))
     else:
-        scene = Scene.load(args.scene, scale=args.scale, offset=args.offset)
+        scene = Scene.load(args.scene, scale=args.scale, offset=args.offset, label_field=field)
     if args.target is None:
         return scene
     return dataclasses.replace(scene, target_pose=np.asarray(args.target), fruit_centres=None, fruit_radii=None)

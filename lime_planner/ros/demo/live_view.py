@@ -13,7 +13,7 @@ from typing import Any
 
 from lime_planner.core.errors import ParameterError
 from lime_planner.core.parameters import PARAMETERS, settings_from
-from lime_planner.ros.demo.demo import DEFAULT_SEED, Clock, choose_arm, completed_scene, scene_of
+from lime_planner.ros.demo.demo import DEFAULT_SEED, Clock, choose_arm, completed_scene, label_field, scene_of
 from lime_planner.ros.demo.processes import Corner, DemoError, Processes
 from lime_planner.viewer.access import Access
 from lime_planner.viewer.serving import DEFAULT_PORT, announce, free_port, until_signal
@@ -38,6 +38,7 @@ def run_with_nodes(args: argparse.Namespace, access: Access, given: Mapping[str,
     if args.start is not None:
         raise ParameterError("--start: with --nodes the arm starts where the simulated arm stands")
     values, clock = dict(given), Clock()
+    field = label_field(args, values)
     choose_arm(values, clock)
     planning = {name: value for name, value in values.items() if name in PARAMETERS}
     settings = settings_from(planning)
@@ -50,7 +51,7 @@ def run_with_nodes(args: argparse.Namespace, access: Access, given: Mapping[str,
 
     port = free_port(access.host, DEFAULT_PORT if args.port is None else args.port, tries=1 if args.port else 20)
     clock.say("reading the scene" if args.what else "growing a lime plant")
-    scene = scene_of(argparse.Namespace(**{**vars(args), "scene": args.what, "plant_seed": DEFAULT_SEED}))
+    scene = scene_of(argparse.Namespace(**{**vars(args), "scene": args.what, "plant_seed": DEFAULT_SEED}), field)
     os.environ[TOKEN_VARIABLE] = access.token  # of the node; a parameter could be read by everybody in the ROS graph
     corner, arm = Corner.own(), {"robot": settings.robot}
     with until_signal() as signals, Processes(corner, _FOLDER / "logs") as nodes:
