@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from lime_planner.api import draw, plan
-    from lime_planner.core.errors import LimePlannerError
+    from lime_planner.core.errors import LimePlannerError, PlausibilityWarning
     from lime_planner.core.geometry import matrix_to_pose, pose_to_matrix
     from lime_planner.core.parameters import Settings, settings_from
     from lime_planner.core.status import Status
@@ -40,6 +40,7 @@ __all__ = [
     "Pipeline",
     "PlanResult",
     "PlantOptions",
+    "PlausibilityWarning",
     "Robot",
     "Scene",
     "Settings",
@@ -55,7 +56,7 @@ __all__ = [
 
 _MODULES = {
     "lime_planner.api": ("draw", "plan"),
-    "lime_planner.core.errors": ("LimePlannerError",),
+    "lime_planner.core.errors": ("LimePlannerError", "PlausibilityWarning"),
     "lime_planner.core.parameters": ("Settings", "settings_from"),
     "lime_planner.pipeline": ("Pipeline", "PlanResult"),
     "lime_planner.core.geometry": ("matrix_to_pose", "pose_to_matrix"),

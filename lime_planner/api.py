@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import difflib
+import inspect
 import os
 import threading
-from collections.abc import Callable
+import warnings
+from collections.abc import Callable, Mapping
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 import numpy.typing as npt
 
-from lime_planner.core.errors import ParameterError, ProblemError, SceneError
-from lime_planner.core.parameters import NODE_PARAMETERS, settings_from
+from lime_planner.core.errors import ParameterError, PlausibilityWarning, ProblemError, SceneError
+from lime_planner.core.parameters import NODE_PARAMETERS, PARAMETERS, settings_from
 from lime_planner.core.types import Array
 from lime_planner.core.validation import floats, shown
 from lime_planner.output.console import compile_first
@@ -113,11 +116,15 @@ def plan(
     Returns:
         The result, whatever became of it: `result.status` says what, and `result.succeeded` whether there is a motion.
 
+    Warns:
+        PlausibilityWarning: about what is hardly meant, such as a scene in millimetres; `result.warnings` has the sentences too.
+
     Raises:
         SceneError: the scene is in another frame than the arm's, or no target is known.
         ParameterError: an unknown parameter, or a value out of range.
         ProblemError: a target that is none, or more than one, a start of the wrong size, or a deadline that is no time.
     """
+    _check_names(parameters)
     robot, scene = _robot_of(robot), _scene_of(scene)
     common = {
         "seed": seed,
@@ -128,11 +135,6 @@ def plan(
         "grasp_freedom": grasp_freedom,
     }
     parameters |= {name: value for name, value in common.items() if value is not None}
-    for name in parameters:
-        if name in NODE_PARAMETERS:
-            raise ParameterError(f"{name}: only the node has a use for this parameter")
-        if name in _OF_THE_ROBOT:
-            raise ParameterError(f"{name}: the robot is loaded already; give this to Robot.load as {_OF_THE_ROBOT[name]}")
     settings = settings_from(parameters)
     if scene.frame_id not in ("", robot.planning_frame):
         raise SceneError(
@@ -146,10 +148,31 @@ def plan(
     targets = _targets(scene, target, fruit, candidates, settings.grasp_freedom, robot.forward(q_start)[:3, 3])
     pipeline, lock = _warm_pipeline(robot)
     with lock:
-        return plan_first(
+        result = plan_first(
             targets,
             lambda one: pipeline.plan(scene, one, q_start, settings, should_stop=should_stop, deadline_s=deadline_s, seed=settings.seed),
         )
+    for sentence in (*scene.notes, *result.warnings):
+        warnings.warn(sentence, PlausibilityWarning, stacklevel=2)
+    return result
+
+
+def _check_names(parameters: Mapping[str, Any]) -> None:
+    """Refuse keywords that `plan` has no use for.
+
+    Raises:
+        ParameterError: the text says what may have been meant.
+    """
+    own = [name for name, given in inspect.signature(plan).parameters.items() if given.kind is not inspect.Parameter.VAR_KEYWORD]
+    for name in parameters:
+        if name in NODE_PARAMETERS:
+            raise ParameterError(f"{name}: only the node has a use for this parameter")
+        if name in _OF_THE_ROBOT:
+            raise ParameterError(f"{name}: the robot is loaded already; give this to Robot.load as {_OF_THE_ROBOT[name]}")
+        if name not in PARAMETERS:
+            close = difflib.get_close_matches(name, [*own, *PARAMETERS], n=3)
+            meant = f"; did you mean {', '.join(dict.fromkeys(close))}?" if close else ""
+            raise ParameterError(f"there is no parameter {name!r}{meant}")
 
 
 def _targets(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import re
 from collections.abc import Callable
@@ -12,7 +13,7 @@ import pytest
 from arm_helpers import plant, robot_named
 
 import lime_planner
-from lime_planner import LimePlannerError, PlanResult, PlantOptions, Robot, Scene, Status, draw, generate_plant, plan
+from lime_planner import LimePlannerError, PlanResult, PlantOptions, PlausibilityWarning, Robot, Scene, Status, draw, generate_plant, plan
 from lime_planner.api import _warm_pipeline
 from lime_planner.core.errors import ParameterError, ProblemError, SceneError
 from lime_planner.core.geometry import matrix_to_pose, pose_to_matrix
@@ -82,6 +83,9 @@ def test_callers_mistakes_are_named(robot: Robot) -> None:
     scene = plant(15)
     with pytest.raises(ParameterError, match="did you mean time_budget_s"):
         plan(scene, robot, time_budget=1.0)
+    for slip, meant in (("tagret", "target"), ("candidate", "candidates"), ("max_leaf_contact", "max_leaf_contact_rad")):
+        with pytest.raises(ParameterError, match=f"there is no parameter '{slip}'; did you mean {meant}"):
+            plan("is not even looked for.npz", "nor this", **{slip: 1})  # type: ignore[arg-type]
     with pytest.raises(ParameterError, match="motion_enabled: only the node"):
         plan(scene, robot, motion_enabled=True)
     with pytest.raises(ParameterError, match="tool_frame: the robot is loaded already"):
@@ -164,12 +168,33 @@ def test_a_wrong_argument_is_named(arguments: tuple[object, object], keywords: d
         (lambda: Scene.load(3), "a scene is loaded from the path of a file, got 3"),  # type: ignore[arg-type]
         (lambda: Robot.load(None), "the path of a URDF file, got None"),  # type: ignore[arg-type]
         (lambda: Scene("a", 1, 2, 3), "leaf_points: one number or text"),  # type: ignore[arg-type]
+        (lambda: generate_plant("x"), "rng must be a seed, a whole number of at least 0, or a NumPy generator, got 'x'"),  # type: ignore[arg-type]
+        (lambda: generate_plant(-1), "rng must be a seed, a whole number of at least 0, or a NumPy generator, got -1"),
+        (lambda: generate_plant(1, "dense"), "options must be PlantOptions, got 'dense'"),  # type: ignore[arg-type]
         (lambda: generate_plant(1, PlantOptions(position_m=(float("nan"), 0.0, 0.0))), "position_m: nan 0 0 is outside"),
     ],
 )
 def test_what_makes_no_scene_or_robot_is_named(call: Callable[[], object], sentence: str) -> None:
     with pytest.raises(LimePlannerError, match=re.escape(sentence)):
         call()
+
+
+def test_what_is_hardly_meant_is_a_warning(robot: Robot) -> None:
+    scene, pose = plant(15), plant(15).target_pose
+    assert pose is not None
+    with pytest.warns(PlausibilityWarning, match="the quaternion 0 90 0 1 has the length 90") as given:
+        result = plan(scene, robot, target=(*pose[:3], 0.0, 90.0, 0.0, 1.0), iterations=10)
+    assert [Path(warning.filename).name for warning in given] == ["test_api.py"]
+    assert len(result.warnings) == 1 and repr(result).endswith(f"; warning: {result.warnings[0]}>")
+    assert f"<p>warning: {result.warnings[0]}</p>" in result._repr_html_()
+    points, labels, _ = scene.labelled_points()
+    with pytest.warns(PlausibilityWarning, match="is that in millimetres"):
+        plan(Scene.from_points(1000.0 * points, labels), robot, target=pose[:3], iterations=10)
+    crooked = dataclasses.replace(scene, target_pose=pose * [1, 1, 1, 3, 3, 3, 3], fruit_centres=None, fruit_radii=None)
+    with pytest.warns(PlausibilityWarning, match="has the length 3, not 1"):
+        plan(crooked, robot, iterations=10)
+    with pytest.warns(PlausibilityWarning, match="grasp candidate 2 of 2: the quaternion"):
+        plan(scene, robot, candidates=[pose, pose * [1, 1, 1, 3, 3, 3, 3]], iterations=10)
 
 
 def test_dir_shows_the_public_names_alone() -> None:

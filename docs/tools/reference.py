@@ -40,6 +40,7 @@ CURES = {
     Status.NO_CONTROLLER: "Start the controller, or remap `joint_trajectory` to its topic; with `controller: jtc_action` set `trajectory_action`, and see why it rejects.",
     Status.MOTION_DISABLED: "Set `motion_enabled` to true when the arm may move.",
     Status.NOT_READY: "Wait: after an update the kernels compile for a minute or two. The sentence says what is going on.",
+    Status.NOT_INSTALLED: "The sentence says what to install, such as `pip install 'lime_planner[experiments]'`; `lime-planner doctor` lists what is there.",
     Status.INTERNAL_ERROR: "A defect of ours. The log has the traceback; please report it.",
 }
 

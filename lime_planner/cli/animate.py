@@ -37,7 +37,7 @@ def run(args: argparse.Namespace) -> int:
 
     from lime_planner.cli.arguments import load_arm
     from lime_planner.core.atomic_files import check_writable
-    from lime_planner.output.animation import SUFFIXES, animate
+    from lime_planner.output.animation import SUFFIXES, animate, check_format
     from lime_planner.output.console import console
     from lime_planner.output.saved_plan import read_plan
     from lime_planner.pipeline import Pipeline
@@ -49,6 +49,7 @@ def run(args: argparse.Namespace) -> int:
         raise ParameterError(f"--width {args.width}: allowed are 120 to 3840")
     if args.out.suffix.lower() not in SUFFIXES:
         raise ParameterError(f"--out {args.out}: ends in none of {', '.join(SUFFIXES)}")
+    check_format(args.out)
     check_writable(args.out)
     plan = read_plan(args.plan)
     settings = settings_from(plan.parameters)

@@ -8,6 +8,7 @@ import textwrap
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
+from lime_planner.cli.parser import closest
 from lime_planner.core.errors import LimePlannerError, ParameterError
 from lime_planner.core.parameters import PARAMETERS, parse_assignment, settings_from
 
@@ -61,7 +62,8 @@ def _groups(text: str) -> tuple[str, ...]:
     names = tuple(part.strip() for part in text.split(","))
     unknown = [name for name in names if name not in GROUPS]
     if unknown:
-        raise argparse.ArgumentTypeError(f"there is no group {unknown[0]!r}; there are {', '.join(GROUPS)}")
+        meant = "".join(f"did you mean {name}? There" for name in closest(unknown[0], GROUPS)) or "there"
+        raise argparse.ArgumentTypeError(f"there is no group {unknown[0]!r}; {meant} are {', '.join(GROUPS)}")
     return names
 
 
@@ -220,14 +222,14 @@ def _report(args: argparse.Namespace, found: dict[str, list[Finding]], well: boo
 
 def _print(found: dict[str, list[Finding]]) -> None:
     """Print columns on a terminal; elsewhere one line for each check, for grep."""
-    from lime_planner.output.console import console
+    from lime_planner.output.console import console, print_wrapped
 
     out = console()
     if not out.is_terminal:
         for findings in found.values():
             for finding in findings:
                 cure = f" -> {finding.cure}" if finding.cure else ""
-                print(f"{finding.level.value:<8} {finding.check}: {finding.sentence}{cure}")
+                print_wrapped(f"{finding.level.value:<8} {finding.check}: {finding.sentence}{cure}")
         return
     from rich.text import Text
 

@@ -88,6 +88,7 @@ _EXTRAS = {
     "shtab": "completion",
     "viser": "viewer",
     "imageio": "video",
+    "imageio_ffmpeg": "video",
 }
 
 #: How standard output refuses what is printed: the disk or the quota is full, the device or the descriptor bad.
@@ -199,7 +200,9 @@ def main(argv: Sequence[str] | None = None) -> int:
             traceback.print_exc()
         root = (error.name or "").split(".")[0]
         advice = f"; pip install 'lime_planner[{_EXTRAS[root]}]' brings it" if root in _EXTRAS else ""
-        _tell(args, Status.INTERNAL_ERROR, f"the library {root!r} is not installed{advice}")
+        # Of what the package itself requires nothing is optional.
+        outcome = Status.NOT_INSTALLED if advice else Status.INTERNAL_ERROR
+        _tell(args, outcome, f"the library {root!r} is not installed{advice}")
     except KeyboardInterrupt:
         _tell(args, Status.CANCELLED, "stopped by the keyboard")
         return 130

@@ -43,7 +43,7 @@ def run(args: argparse.Namespace) -> int:
     from rich.text import Text
 
     from lime_planner.cli.json_output import emit_json, is_stdout
-    from lime_planner.output.console import console
+    from lime_planner.output.console import console, wrapped
 
     out, found = console(), 0
     if args.json is not None:
@@ -59,8 +59,8 @@ def run(args: argparse.Namespace) -> int:
             continue
         for p in rows:
             heading = f"{p.name} = {_value(p.default)} {p.unit}".rstrip() + f"   ({p.range_text})"
-            out.print(Text(heading, style="bold"))
-            out.print(Text("  " + p.description))
+            out.print(Text("\n".join(wrapped(heading)), style="bold"), soft_wrap=True)
+            print("\n".join(wrapped(p.description, first="  ")))
     if not found:
         print(f"no parameter's name or description holds {args.pattern!r}")
     return 0 if found else 1

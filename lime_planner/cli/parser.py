@@ -107,6 +107,15 @@ class Parser(argparse.ArgumentParser):
                 parser = below.choices[word]
         return parser
 
+    def _get_value(self, action: argparse.Action, arg_string: str) -> Any:
+        try:
+            return super()._get_value(action, arg_string)
+        except argparse.ArgumentError:
+            if action.type not in (int, float):
+                raise
+            noun = "whole number" if action.type is int else "number"
+            raise argparse.ArgumentError(action, f"{arg_string!r} is no {noun}") from None
+
     def _check_value(self, action: argparse.Action, value: Any) -> None:
         if action.choices is None or value in action.choices:
             return

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -202,11 +201,12 @@ def run_see(args: argparse.Namespace) -> int:
 
 def add_info_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `scene info`."""
+    from lime_planner.cli.arguments import add_label_field
     from lime_planner.cli.json_output import add_json
 
     parser.epilog = _INFO_EPILOG
     parser.add_argument("scene", metavar="SCENE", type=Path, help="scene file: .npz, .ply or .pcd")
-    parser.add_argument("--label-field", metavar="NAME", help="field of the label in PLY and PCD files (default label)")
+    add_label_field(parser)
     meaning = "what labels mean: leaf_labels=[3]; repeatable"
     parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE", dest="assignments", help=meaning)
     add_json(parser, "the same")
@@ -217,10 +217,11 @@ def run_info(args: argparse.Namespace) -> int:
     import numpy as np
     from rich.table import Table
 
-    from lime_planner.cli.arguments import LABEL_PARAMETERS, label_options
+    from lime_planner.cli.arguments import LABEL_PARAMETERS, label_options, load_arm
     from lime_planner.cli.json_output import emit_json, is_stdout
-    from lime_planner.core.parameters import parse_assignment
-    from lime_planner.output.console import console, working
+    from lime_planner.core.parameters import parse_assignment, settings_from
+    from lime_planner.output.console import console, print_wrapped, warn, working
+    from lime_planner.pipeline.plausibility import doubts_about_scene
     from lime_planner.scene.files import load_start
     from lime_planner.scene.scene import DEFAULT_FRAME, Scene
 
@@ -234,8 +235,11 @@ def run_info(args: argparse.Namespace) -> int:
     with working("reading"):
         scene, start = Scene.load(args.scene, frame_id=DEFAULT_FRAME, **options), load_start(args.scene)
         labels = _labels(args.scene, options)
+        warnings = [*scene.notes, *doubts_about_scene(scene, load_arm(settings_from({})))]
     if args.json is not None:
-        emit_json(args.json, {**_figures(args.scene, scene, start), "labels": labels})
+        emit_json(args.json, {**_figures(args.scene, scene, start), "labels": labels, "warnings": warnings})
+    for sentence in warnings:
+        warn(sentence)
     if is_stdout(args.json):
         return 0
     table = Table(title=str(args.scene), title_justify="left", show_edge=False, pad_edge=False)
@@ -247,22 +251,22 @@ def run_info(args: argparse.Namespace) -> int:
         table.add_row(name, str(len(points)), *ends)
     console().print(table)
     listed = ", ".join(f"{row['label']} ({row['class']}): {row['points']}" for row in labels)
-    print(f"labels: {listed}")
-    print(f"frame: {scene.frame_id}")
+    print_wrapped(f"labels: {listed}")
+    print_wrapped(f"frame: {scene.frame_id}")
     with np.printoptions(precision=4, suppress=True):
-        print(f"target: {scene.target_pose if scene.target_pose is not None else 'none'}")
+        print_wrapped(f"target: {scene.target_pose if scene.target_pose is not None else 'none'}")
     if scene.fruit_centres is not None and len(scene.fruit_centres):
-        print(f"fruit by number: {_listed(scene.fruit_centres)}")
+        print_wrapped(f"fruit by number: {_listed(scene.fruit_centres)}")
     if scene.grasp_candidates is not None:
         print(f"grasp candidates: {len(scene.grasp_candidates)}")
     if scene.viewpoints is not None:
-        print(f"seen from: {_listed(scene.viewpoints)}")
+        print_wrapped(f"seen from: {_listed(scene.viewpoints)}")
     if start is not None:
-        print("start: " + ", ".join(f"{name} {angle:.4f}" for name, angle in zip(start.joint_names, start.q, strict=True)))
+        print_wrapped("start: " + ", ".join(f"{name} {angle:.4f}" for name, angle in zip(start.joint_names, start.q, strict=True)))
     dropped = {name: count for name, count in scene.counts.items() if count and name != "received"}
-    print(f"received: {scene.counts.get('received', scene.n_points)}" + "".join(f", {name}: {count}" for name, count in dropped.items()))
-    for note in scene.notes:
-        print(f"warning: {note}", file=sys.stderr)
+    print_wrapped(
+        f"received: {scene.counts.get('received', scene.n_points)}" + "".join(f", {name}: {count}" for name, count in dropped.items())
+    )
     return 0
 
 

@@ -33,6 +33,7 @@ class Status(enum.Enum):
     NO_CONTROLLER = "no controller takes the motion"
     MOTION_DISABLED = "motion is disabled by motion_enabled"
     NOT_READY = "the node is still warming up"
+    NOT_INSTALLED = "an optional library that this needs is not installed"
     INTERNAL_ERROR = "a defect in this software"
 
     def message(self, sentence: str) -> str:

@@ -155,9 +155,21 @@ def _robot_data(requirement: Requirement) -> Finding:
 
 
 def _of_extra(extra: str, requirements: list[Requirement]) -> Finding:
-    versions = {r.name: _version(r.name) for r in requirements}
+    versions = {r.name: _version(r.name) for r in [*requirements, *_of_their_extras(requirements)]}
     missing = [name for name, version in versions.items() if not version]
     if missing:
         command = f"pip install '{PACKAGE}[{extra}]'"
         return ok(f"[{extra}]", f"optional, without {', '.join(missing)}: {command} brings it")
     return ok(f"[{extra}]", ", ".join(f"{name} {version}" for name, version in versions.items()))
+
+
+def _of_their_extras(requirements: Iterable[Requirement]) -> list[Requirement]:
+    """Return what the installed ones of some requirements need for the extras that are asked of them: a plug-in is no part of its host."""
+    from packaging.requirements import Requirement
+
+    found = []
+    for requirement in requirements:
+        if requirement.extras and _version(requirement.name):
+            theirs = [Requirement(text) for text in importlib.metadata.requires(requirement.name) or []]
+            found += [needed for needed in theirs if any(_belongs(needed, extra) for extra in requirement.extras)]
+    return found

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shlex
 import shutil
 import sys
 import xml.etree.ElementTree as ET
@@ -102,7 +103,7 @@ def _profile(environ: Mapping[str, str]) -> Finding:
         return ok(name, f"not needed by {middleware}")
     variable = next((v for v in _PROFILES if environ.get(v)), "")
     shipped = shipped_profile()
-    cure = f"export {_PROFILES[0]}={shipped or 'config/' + _PROFILE_FILE}"
+    cure = f"export {_PROFILES[0]}={shlex.quote(str(shipped or 'config/' + _PROFILE_FILE))}"
     if not variable:
         return warning(name, f"none is set ({_PROFILES[0]}): big best-effort clouds get lost", cure)
     path = Path(environ[variable])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import os
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -11,8 +12,9 @@ import numpy as np
 import numpy.typing as npt
 
 from lime_planner.core.atomic_files import replacing
-from lime_planner.core.errors import ParameterError
+from lime_planner.core.errors import ParameterError, Refusal
 from lime_planner.core.geometry import matrix_to_pose
+from lime_planner.core.status import Status
 from lime_planner.core.types import Array, Bool, Float32, Int64, UInt8
 from lime_planner.output.approach_lines import APPROACH_COLOURS, APPROACH_WORDS, LENGTH_M, approach_lines
 from lime_planner.output.picture import ARM, FREE_PATH, LEAFY_PATH, LIME, STEM, arm_mesh, fruit_layer, in_sight, leaf_layer
@@ -45,6 +47,22 @@ _FINER = 0.004  # spacing of the points that the path is drawn with [m]
 Picture = UInt8
 
 
+def check_format(path: Path) -> None:
+    """Refuse an animation that could not be written, before minutes of drawing.
+
+    Raises:
+        ParameterError: a suffix that is not supported.
+        Refusal: NOT_INSTALLED, what writes films is missing.
+    """
+    if path.suffix.lower() not in SUFFIXES:
+        raise ParameterError(f"{path}: an animation ends in one of {', '.join(SUFFIXES)}, not in {path.suffix or 'nothing'!r}")
+    missing = [name for name in ("imageio", "imageio_ffmpeg") if importlib.util.find_spec(name) is None]
+    if path.suffix.lower() == ".mp4" and missing:
+        what = missing[0].replace("_", "-")
+        sentence = f"a film needs {what}, which is not installed: pip install 'lime_planner[video]' brings it; a .gif needs nothing"
+        raise Refusal(Status.NOT_INSTALLED, sentence)
+
+
 def animate(
     path: str | os.PathLike[str],
     pipeline: Pipeline,
@@ -66,10 +84,10 @@ def animate(
 
     Raises:
         ParameterError: a suffix that is not supported, a plan without a path, or a file that cannot be written.
+        Refusal: NOT_INSTALLED, see `check_format`.
     """
     path = Path(path)
-    if path.suffix.lower() not in SUFFIXES:
-        raise ParameterError(f"{path}: an animation ends in one of {', '.join(SUFFIXES)}, not in {path.suffix or 'nothing'!r}")
+    check_format(path)
     if not shown.found:
         raise ParameterError(f"the plan has no path to animate: {shown.result.message}")
     timeline = timeline_of(pipeline, shown)

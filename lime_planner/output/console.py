@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import sys
+import textwrap
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -20,7 +22,7 @@ _TICK_S = 0.1
 _LINE_EVERY_S = 5.0  # in a pipe or a log
 _COMPILING = "compiling, once after an installation or an update"
 
-__all__ = ["ROWS", "cell", "console", "headline", "print_plans", "warn", "write_json"]
+__all__ = ["ROWS", "cell", "console", "headline", "print_plans", "print_wrapped", "warn", "wrapped", "write_json"]
 
 
 def console(*, error: bool = False) -> Console:
@@ -35,6 +37,24 @@ def console(*, error: bool = False) -> Console:
 
     plain = OwnConsole(stderr=error, highlight=False)
     return OwnConsole(stderr=error, highlight=False, width=min(80, plain.width))
+
+
+def wrapped(text: str, indent: str = "  ", first: str = "") -> list[str]:
+    """Return text as lines within the console's columns; words are never torn, for they may be paths or commands.
+
+    Args:
+        text: one paragraph.
+        indent: before every line but the first.
+        first: before that.
+    """
+    width = console().width
+    return textwrap.wrap(text, width, initial_indent=first, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False)
+
+
+def print_wrapped(text: str) -> None:
+    """Print a paragraph within the columns of the terminal, or of COLUMNS; in a pipe without that it stays one line, for grep."""
+    narrow = console().is_terminal or "COLUMNS" in os.environ
+    print("\n".join(wrapped(text)) if narrow else text)
 
 
 def warn(sentence: str) -> None:

@@ -77,7 +77,7 @@ def test_every_outcome_is_in_the_json(tmp_path: Path, capsys: pytest.CaptureFixt
     for error, status, code in (
         (KeyboardInterrupt(), "CANCELLED", 130),
         (ZeroDivisionError("x"), "INTERNAL_ERROR", 1),
-        (ModuleNotFoundError("No module named 'rosbags'", name="rosbags"), "INTERNAL_ERROR", 1),
+        (ModuleNotFoundError("No module named 'rosbags'", name="rosbags"), "NOT_INSTALLED", 1),
     ):
         monkeypatch.setattr(cli_plan, "run", raising(error))
         assert told("plan", missing, exit_status=code)["status"] == status

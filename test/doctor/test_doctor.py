@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import shlex
 from pathlib import Path
 
 import pytest
@@ -15,8 +16,9 @@ from lime_planner.doctor.machine import shipped_profile
 from lime_planner.ros.tools.dds_round_trip import measure
 
 
-def test_a_healthy_installation(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_healthy_installation(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     """For people: no fault, one line for each check, every library with its version."""
+    monkeypatch.delenv("COLUMNS", raising=False)
     assert cli.main(["doctor", "--only", "libraries,machine,robot,dds"]) == 0
     out, err = capsys.readouterr()
     lines = out.splitlines()
@@ -105,6 +107,30 @@ def test_a_library_that_is_missing_or_too_old(doctor: Doctor, monkeypatch: pytes
     assert_named(findings, "no-such-library", "is not installed")
     assert "pip install 'no-such-library>=2'" in findings["no-such-library"]["cure"]
     assert_named(findings, "rich", "needed is >=999")
+
+
+def test_a_plug_in_that_is_missing_is_missing_from_its_extra(doctor: Doctor, monkeypatch: pytest.MonkeyPatch) -> None:
+    from lime_planner.doctor import libraries
+
+    versions = libraries._version
+    monkeypatch.setattr(libraries, "_version", lambda name: "" if name == "imageio-ffmpeg" else versions(name))
+    _, findings = doctor("--only", "libraries")
+    assert findings["[video]"]["sentence"] == "optional, without imageio-ffmpeg: pip install 'lime_planner[video]' brings it"
+
+
+def test_advice_can_be_typed_in_a_folder_with_spaces(doctor: Doctor, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.delenv("FASTRTPS_DEFAULT_PROFILES_FILE", raising=False)
+    monkeypatch.setattr("lime_planner.doctor.machine.shipped_profile", lambda: tmp_path / "my limes" / "clouds.xml")
+    _, findings = doctor("--only", "dds")
+    words = shlex.split(findings["cloud profile"]["cure"])
+    assert words == ["export", f"FASTRTPS_DEFAULT_PROFILES_FILE={tmp_path}/my limes/clouds.xml"]
+
+
+def test_lines_fit_the_columns_that_are_asked_for(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setenv("COLUMNS", "60")
+    cli.main(["doctor", "--only", "machine"])
+    lines = capsys.readouterr().out.splitlines()
+    assert all(len(line) <= 60 or " " not in line.strip() for line in lines) and any(line.startswith("  ") for line in lines)
 
 
 def test_a_cache_that_cannot_be_written_is_no_fault(doctor: Doctor, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

@@ -8,6 +8,7 @@ import numpy as np
 
 from lime_planner.core.errors import ParameterError
 from lime_planner.core.types import Array
+from lime_planner.core.validation import shown
 from lime_planner.scene.plants.grasp_targets import hidden_lime_target
 from lime_planner.scene.plants.leaves import grow_leaves
 from lime_planner.scene.plants.limes import PEDICEL_RADII_M, hang_limes
@@ -94,8 +95,16 @@ def generate_plant(rng: np.random.Generator | int, options: PlantOptions | None 
 
     Leaves with their petioles are permeable; trunk, branches, twigs and the limes' pedicels are impermeable. The target pose is
     a grasp (see `lime_planner.scene.plants.grasp_targets`) of the lime that is best hidden among leaves; None on a plant without limes.
+
+    Raises:
+        ParameterError: `rng` is neither, or `options` are none.
     """
-    rng = np.random.default_rng(rng)
+    if not isinstance(rng, np.random.Generator):
+        if isinstance(rng, bool) or not isinstance(rng, (int, np.integer)) or rng < 0:
+            raise ParameterError(f"rng must be a seed, a whole number of at least 0, or a NumPy generator, got {shown(rng)}")
+        rng = np.random.default_rng(rng)
+    if options is not None and not isinstance(options, PlantOptions):
+        raise ParameterError(f"options must be PlantOptions, got {shown(options)}")
     options = options or PlantOptions()
     base = np.array(options.position_m, dtype=np.float64)
     half_height = 0.5 * (options.height_m - options.trunk_m)
