@@ -186,7 +186,7 @@ def test_long_lines_fit_the_columns_that_are_asked_for(
         assert run(*words) == 0
         lines = capsys.readouterr().out.splitlines()
         assert max(map(len, lines)) <= 60
-    assert all(line == line.rstrip() and (line.startswith("  ") or " = " in line) for line in lines)
+    assert all(line == line.rstrip() and (line.startswith("  ") or " =" in line) for line in lines)
 
 
 @pytest.mark.parametrize("command", ["plan", "scene info"])
