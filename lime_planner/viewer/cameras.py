@@ -13,16 +13,6 @@ START = (np.array([0.95, -1.15, 0.95]), np.array([0.38, 0.0, 0.46]))
 _CLOSE_M = 0.45
 
 
-def fit(client: Any) -> None:
-    """Step back for a window that is higher than wide, whose lower half the panel may cover."""
-    if client.camera.aspect < 0.8:
-        position, look_at = START
-        down = np.array([0.0, 0.0, -0.3])
-        with client.atomic():
-            client.camera.position = look_at + 1.45 * (position - look_at) + down
-            client.camera.look_at = look_at + down
-
-
 class Cameras:
     """Whole, side, top, and close to the target."""
 

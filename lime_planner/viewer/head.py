@@ -119,6 +119,31 @@ _POINTER = """
 })();
 """
 
+# The canvas is narrow beside the panel, and on a phone the panel lies over it: what the camera looks at goes to the middle of the part that
+# is free, and as small as it takes to fit in there, whatever the camera is and however the window changes. The projection alone is moved,
+# so the rays of clicks and of the pointer stay right.
+_FREE_PART = """
+(() => {
+  const WIDEST = 1.35, PANEL = "[style*='position: fixed'][style*='max-height: 60%']";
+  let camera = null, key = "";
+  const place = () => {
+    const canvas = document.querySelector("canvas"), now = window.__viserMutable?.camera;
+    if (!canvas || !now?.setViewOffset) return;
+    const box = canvas.getBoundingClientRect(), sheet = document.querySelector(PANEL)?.getBoundingClientRect();
+    let low = box.bottom;
+    if (sheet && sheet.width > 0.7 * box.width && sheet.top > box.top + 0.25 * box.height) low = Math.min(low, sheet.top);
+    const {width, height} = box, free = low - box.top, new_key = [width, height, free].map(Math.round).join();
+    if (!(width > 0 && free > 0) || (now === camera && new_key === key)) return;
+    [camera, key] = [now, new_key];
+    const times = height / Math.min(free, WIDEST * width), [across, up] = [width / times, height / times];
+    if (times < 1.01) camera.clearViewOffset();
+    else camera.setViewOffset(across, up, 0.5 * (across - width), 0.5 * (up - free), width, height);
+  };
+  setInterval(place, 200);
+  addEventListener("resize", () => setTimeout(place, 60));
+})();
+"""
+
 # What viser leaves to the mouse alone: its folders' headings are no buttons, sliders and the numbers beside them have no names.
 # Escape stops: who sees the arm go wrong has no time to find the button.
 _KEYBOARD = """
@@ -223,7 +248,7 @@ def with_our_head(page: bytes, *, gzipped: bool) -> bytes:
 @lru_cache(maxsize=4)
 def _dressed(page: bytes, gzipped: bool) -> bytes:
     html = gzip.decompress(page) if gzipped else page
-    head = f'<link rel="icon" href="{_ICON}"/><script>{_SCRIPT}{_TYPING}{_POINTER}{_KEYBOARD}</script><style>{_STYLE}</style>'
+    head = f'<link rel="icon" href="{_ICON}"/><script>{_SCRIPT}{_TYPING}{_FREE_PART}{_POINTER}{_KEYBOARD}</script><style>{_STYLE}</style>'
     html = re.sub(rb'<link\s+rel="icon"[^>]*>', b"", html, count=1)
     html = html.replace(b"<title>Viser</title>", f"<title>Lime planner</title>{head}".encode(), 1)
     return gzip.compress(html, 6) if gzipped else html

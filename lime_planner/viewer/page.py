@@ -25,7 +25,7 @@ from lime_planner.viewer.access import Access
 from lime_planner.viewer.arm_controls import ArmControls
 from lime_planner.viewer.backend import Activity, Backend, Moment, Wishes
 from lime_planner.viewer.blocked import BlockedLayer
-from lime_planner.viewer.cameras import START, Cameras, fit
+from lime_planner.viewer.cameras import START, Cameras
 from lime_planner.viewer.controls import Commands, Controls, ask_before_moving
 from lime_planner.viewer.debug_layers import Extras
 from lime_planner.viewer.empty_page import EmptyPage
@@ -121,7 +121,6 @@ class Page:
             gui.add_html(words.legend())
         self._extras = Extras(server.scene, self._controls, self._note)
         server.scene.on_click()(self._on_scene_click)
-        server.on_client_connect(fit)
 
     def _build_between(self) -> None:
         """What stands between the buttons and how to search: the plan, its goal, the arm, and other plans."""
