@@ -35,7 +35,7 @@ def open3d() -> Any:
             later = _Later()
             sys.meta_path.insert(0, later)
             try:
-                importlib.import_module("open3d")
+                import open3d  # noqa: F401
             finally:
                 sys.meta_path.remove(later)
     return sys.modules["open3d"]

@@ -126,4 +126,5 @@ def test_slow_controllers_and_arms_beside_their_path_stop_as_smoothly(
     found = stops(monkeypatch, 50.0, 40, **more)
     assert found["acceleration"].max() <= hardest
     assert found["distance"].max() <= more.get("beside_rad", 0.0)
-    assert found["back"].max() <= 2e-3
+    # An arm beside its path comes part of the way back to it while it brakes.
+    assert found["back"].max() <= max(2e-3, 0.5 * more.get("beside_rad", 0.0))
