@@ -105,24 +105,39 @@ def ratios_to_ignored(method: str, name: str) -> list[float]:
     return [mine[k] / ignored[k] if ignored[k] else 1.0 if mine[k] == 0 else math.inf for k in mine if k in ignored]
 
 
+def of_the_leaves(method: str) -> float:
+    """Leaves touched over those with leaves ignored, of the grasps that both carried out."""
+    mine, ignored = (values(plants(), m, "leaves") for m in (method, "ignored"))
+    both = mine.keys() & ignored.keys()
+    return sum(mine[k] for k in both) / sum(ignored[k] for k in both)
+
+
 def a_third_of_the_leaves() -> bool:
-    held = []
-    for method in ("binary", "graded"):
-        mine, ignored = (values(plants(), m, "leaves") for m in (method, "ignored"))
-        both = mine.keys() & ignored.keys()
-        held += [np.median(ratios_to_ignored(method, "leaves")) < 1 / 3, sum(mine[k] for k in both) < sum(ignored[k] for k in both) / 3]
-    return all(held)
+    both = ("binary", "graded")
+    return all(np.median(ratios_to_ignored(m, "leaves")) < 0.34 and 0.3 < of_the_leaves(m) < 0.36 for m in both)
+
+
+def an_eighth_above_the_least() -> bool:
+    least = {(t["scene"], t["number"]): t["leaves_at_best_goal"] for t in plants()}
+    mine, ignored = (values(plants(), m, "leaves") for m in ("binary", "ignored"))
+    both = mine.keys() & ignored.keys()
+    above = [sum(leaves[k] - least[k] for k in both) for leaves in (mine, ignored)]
+    return bool(0.1 < above[0] / above[1] < 0.15)
 
 
 def slower_iterations() -> bool:
-    dense = [t for t in plants() if t["density"] == "dense"]
     iterations = kept("damage")["options"]["repeatable"]
-    each = [np.median(list(values(dense, m, "planning_cpu_s").values())) / iterations[m] for m in ("graded", "binary")]
-    return bool(each[0] > 2 * each[1])
+    each = [np.median(list(values(plants(), m, "planning_cpu_s").values())) / iterations[m] for m in ("graded", "binary")]
+    return bool(1.3 < each[0] / each[1] < 1.7)
 
 
-def half_of_the_grasps() -> bool:
-    return 0.5 < len(values(plants(), "apf_rrt_star", "leaves")) / len(plants()) < 0.6
+def nine_in_ten_of_the_grasps() -> bool:
+    return 0.87 < len(values(plants(), "apf_rrt_star", "leaves")) / len(plants()) < 0.93
+
+
+def free_approach_reaches_all() -> bool:
+    shorter = float(np.median(ratios_to_ignored("free", "duration_s"))) < 1.0
+    return shorter and 0.03 < of_the_leaves("free") < 0.07 and len(values(plants(), "free", "leaves")) == len(plants())
 
 
 def jagged_paths() -> bool:
@@ -132,9 +147,7 @@ def jagged_paths() -> bool:
 def failed(scene: str, statuses: set[str], methods: tuple[str, ...]) -> bool:
     """Whether a grasp ended alike for some methods; the others touch no leaf or are not the package's own."""
     [trial] = [t for t in plants() if f"{t['scene']}/{t['number']}" == scene]
-    return {trial["methods"][m]["status"] for m in methods} == statuses and all(
-        m["status"] != "SUCCEEDED" for m in trial["methods"].values()
-    )
+    return {trial["methods"][m]["status"] for m in methods} == statuses and all(trial["methods"][m]["status"] != "SUCCEEDED" for m in ALL)
 
 
 ALL = ("solid", "ignored", "apf_rrt_star", "binary", "graded")
@@ -167,14 +180,17 @@ HOLDS: dict[str, Callable[[], bool]] = {
     "more than half of the paths have such an edge": edges_in_stems,
     "2 with ten times the iterations": lambda: VARIANTS["ten times the iterations"].patience == 10,
     "what each method gets done in half a second": lambda: kept("damage")["options"]["time_s"] == 0.5,
-    "it touches less than a third of the leaves": a_third_of_the_leaves,
-    "its iterations take more than twice as long as those of the binary cost": slower_iterations,
-    "carries out little more than half of the grasps on plants": half_of_the_grasps,
+    "it touches a third of the leaves at the drawn pose": a_third_of_the_leaves,
+    "of those beyond the ones that the best configuration there cuts in any case an eighth": an_eighth_above_the_least,
+    "a twentieth of the leaves are touched": free_approach_reaches_all,
+    "its iterations take half as long again as those of the binary cost": slower_iterations,
+    "carries out nine in ten of the grasps on plants": nine_in_ten_of_the_grasps,
+    "it touches half of the leaves of a planner that ignores them": lambda: 0.45 < of_the_leaves("apf_rrt_star") < 0.55,
     "its jagged paths take several times as long": jagged_paths,
-    "On `medium-14/3` and `dense-16/1` every grasp has less room to a stem than the pipeline certifies": lambda: (
+    "On `medium-14/3` and `dense-16/1` every configuration at the drawn pose has less room to a stem than the pipeline certifies": lambda: (
         all(failed(scene, {"GOAL_IN_STEM"}, ALL) for scene in ("medium-14/3", "dense-16/1")) and all_failures_are_named()
     ),
-    "On `sparse-6/0` no method finds a path": lambda: failed("sparse-6/0", {"NO_PATH"}, NOT_SOLID),
+    "On `sparse-6/0` no method finds a path to the drawn pose": lambda: failed("sparse-6/0", {"NO_PATH"}, NOT_SOLID),
     "After half a second both the median and the 90th percentile": lambda: 0.5 in kept("planners")["options"]["marks_s"],
     "what half a minute found there": lambda: max(t["seconds"] for t in kept("planners")["trials"]) == 30.0,
     "which half a second seldom finds": lambda: 0.5 in kept("planners")["options"]["marks_s"],

@@ -16,7 +16,7 @@ from lime_planner.core.errors import ParameterError
 from lime_planner.experiments.damage import command as damage
 from lime_planner.experiments.damage.figures import all_figures
 from lime_planner.experiments.damage.report import failures, median_ratio, success_difference, table_text
-from lime_planner.experiments.damage.trials import DamageOptions, plan_of, tasks_of
+from lime_planner.experiments.damage.trials import METHODS, DamageOptions, plan_of, tasks_of
 from lime_planner.experiments.grasps import free_solutions, grasps_of, plant_spec, rng_of
 from lime_planner.experiments.problems import pipeline_of, scene_of
 from lime_planner.experiments.runs.results_file import Plan, collect, load_results
@@ -34,6 +34,13 @@ def without_times(value: Any) -> Any:
 @pytest.fixture(scope="module")
 def results(tmp_path_factory: Any) -> dict[str, Any]:
     return collect(plan_of(SMALL), tmp_path_factory.mktemp("damage") / "results.json", jobs=1, resume=False)[0]
+
+
+def test_every_method_is_drawn(results: dict[str, Any], tmp_path: Path) -> None:
+    done = {t["status"]: t for trial in results["trials"] for t in trial["methods"].values()}["SUCCEEDED"]
+    trials = [trial | {"methods": dict.fromkeys(METHODS, done)} for trial in results["trials"] if trial["methods"]]
+    every = results | {"options": results["options"] | {"methods": list(METHODS)}, "trials": trials}
+    assert all(path.stat().st_size > 5000 for path in all_figures(every, tmp_path))
 
 
 def test_grasps_touch_no_stem_and_do_not_depend_on_how_many_are_wanted() -> None:

@@ -17,6 +17,8 @@ _LOOKS = {
     "apf_rrt_star": ("#CC79A7", ".."),
     "binary": ("#0072B2", ""),
     "graded": ("#56B4E9", "\\\\"),
+    "free": ("#009E73", ""),
+    "candidates": ("#F0E442", "xx"),
 }
 
 
