@@ -198,10 +198,10 @@ class ModelLoader(BackgroundThread):
             with self._condition:
                 self._warm, self.state = True, "ready"
                 self._condition.notify_all()
-            give_back()  # what reading and loading the kernels took
             for sentence in loaded.robot.warnings:
                 self._report(Severity.WARN, f"the robot description is suspicious: {sentence}")
             self._report(Severity.OK, f"ready to plan for {loaded.robot.name} after {time.monotonic() - began_s:.1f} s")
+            give_back()  # what reading and loading the kernels took
 
     def _exchange(self, loaded: Loaded) -> bool:
         """Take the model in while no plan and no motion runs; False when the node ends first."""

@@ -165,7 +165,7 @@ def test_a_bad_description_leaves_the_good_model() -> None:
         pass
     loader.offer("bad")
     deadline = time.monotonic() + 60.0
-    while not log.reports[-1][0] and time.monotonic() < deadline:
+    while not (log.reports and log.reports[-1][0]) and time.monotonic() < deadline:
         time.sleep(0.01)
     with loader.use(1.0, never) as loaded:
         assert loaded.robot.name == "one"
