@@ -150,6 +150,7 @@ def soak(
         bench = SoakBench(model.joint_names, start, domain=domain, plays_arm=False)
         try:
             planner.wait_for("ready to plan", 600.0)
+            bench.wait_inputs("joint_states", "grasp_target", "labelled_cloud" if labelled else "stem_cloud")
             bench.call("stop")
             return Soak(bench, planner, model, rng, labelled=labelled).run(requests, seconds)
         finally:

@@ -265,9 +265,13 @@ class Bench:
         """How many messages of an input the planner has received, by its diagnostics."""
         return int(self.health.get(f"{name}.received", "0"))
 
-    def wait_inputs(self) -> None:
-        """Wait until the planner has a stem cloud and a target: on a busy machine it finds each publisher seconds after the other."""
-        self.wait(lambda: self.received("grasp_target") and self.received("stem_cloud"), 20.0, "the inputs' arrival")
+    def wait_inputs(self, *names: str) -> None:
+        """Wait until the planner has inputs, by default a stem cloud and a target.
+
+        It may be ready sooner than it finds the publishers, each seconds after the other on a busy machine.
+        """
+        wanted = names or ("grasp_target", "stem_cloud")
+        self.wait(lambda: all(self.received(name) for name in wanted), 20.0, "the inputs' arrival")
 
     def status_of(self, response: Any) -> dict[str, str]:
         """The status that ended the plan of this answer; it may come after the answer."""

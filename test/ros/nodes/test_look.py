@@ -36,6 +36,7 @@ def rig() -> Iterator[tuple[Bench, Program]]:
     ):
         bench = Bench(robot.joint_names, home(robot), domain=DOMAIN, plays_arm=False)
         node.wait_for("ready to plan", READY_S)
+        bench.wait_inputs("joint_states", "fruit_target")
         bench.wait(lambda: bench.received("labelled_cloud") > 3, 30.0, "pictures of both cameras")
         yield bench, scene
         bench.close()

@@ -71,7 +71,7 @@ class TestTheDemoGraph:
             bench = Bench(robot.joint_names, home(robot), domain=DOMAIN, namespace="left", plays_arm=False)
             planner.wait_for("ready to plan", READY_S)
             bench.call("stop")
-            time.sleep(1.5)  # joint states and the latched clouds
+            bench.wait_inputs("joint_states", "stem_cloud", "leaf_cloud", "grasp_target")
             yield bench
             bench.close()
 
