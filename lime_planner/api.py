@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import inspect
 import os
 import threading
@@ -15,7 +14,7 @@ from typing import Any
 import numpy.typing as npt
 
 from lime_planner.core.errors import ParameterError, PlausibilityWarning, ProblemError, SceneError
-from lime_planner.core.parameters import NODE_PARAMETERS, PARAMETERS, settings_from
+from lime_planner.core.parameters import NODE_PARAMETERS, PARAMETERS, no_parameter, settings_from
 from lime_planner.core.types import Array
 from lime_planner.core.validation import floats, shown
 from lime_planner.output.console import compile_first
@@ -170,9 +169,7 @@ def _check_names(parameters: Mapping[str, Any]) -> None:
         if name in _OF_THE_ROBOT:
             raise ParameterError(f"{name}: the robot is loaded already; give this to Robot.load as {_OF_THE_ROBOT[name]}")
         if name not in PARAMETERS:
-            close = difflib.get_close_matches(name, [*own, *PARAMETERS], n=3)
-            meant = f"; did you mean {', '.join(dict.fromkeys(close))}?" if close else ""
-            raise ParameterError(f"there is no parameter {name!r}{meant}")
+            raise no_parameter(name, [*own, *PARAMETERS])
 
 
 def _targets(

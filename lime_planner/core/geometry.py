@@ -21,6 +21,12 @@ def sphere_directions(count: int) -> Array:
     return np.column_stack([flat * np.cos(turn), flat * np.sin(turn), height])
 
 
+def unit(vectors: Array) -> Array:
+    """Return vectors (..., n) at length one; a zero vector stays zero."""
+    length = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    return np.asarray(vectors / np.where(length > 0.0, length, 1.0))
+
+
 def pose_to_matrix(pose: npt.ArrayLike) -> Array:
     """Turn x y z qx qy qz qw [m, -] into a 4 x 4 matrix.
 

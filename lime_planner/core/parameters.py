@@ -288,6 +288,15 @@ def _number(parameter: Parameter, value: Any, element: type) -> Any:
     return number
 
 
+def no_parameter(name: str, known: Iterable[str]) -> ParameterError:
+    """Return the error of a name that is no parameter, with those of the known ones that may have been meant."""
+    import difflib
+
+    close = difflib.get_close_matches(name, dict.fromkeys(known), n=3)
+    hint = f"; did you mean {', '.join(close)}?" if close else ""
+    return ParameterError(f"there is no parameter {name!r}{hint}")
+
+
 def validate(name: str, value: Any) -> Any:
     """Return `value` as the parameter's own type.
 
@@ -296,11 +305,7 @@ def validate(name: str, value: Any) -> Any:
     """
     parameter = PARAMETERS.get(name) or NODE_PARAMETERS.get(name)
     if parameter is None:
-        import difflib
-
-        close = difflib.get_close_matches(name, [*PARAMETERS, *NODE_PARAMETERS], n=3)
-        hint = f"; did you mean {', '.join(close)}?" if close else ""
-        raise ParameterError(f"there is no parameter {name!r}{hint}")
+        raise no_parameter(name, [*PARAMETERS, *NODE_PARAMETERS])
     if parameter.kind is list:
         try:
             elements = None if isinstance(value, str) else list(value)

@@ -16,7 +16,6 @@ must stay at the curve, and the sum must end at the goal.
 
 from __future__ import annotations
 
-import dataclasses
 import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -105,8 +104,8 @@ def time_path(
     path = BlendedPath(corners[chosen], ((1.0 - _CUBIC_SHARE) * tolerances - deviations)[chosen])
     # The curve's coordinate is the length along the chosen waypoints; callers count along the given ones.
     scale = None if speed_scale is None else _along(speed_scale, _lengths(corners[chosen]), _lengths(corners)[chosen])
-    run = _Run(path, names, dt_s, velocities, accelerations, _CUBIC_SHARE * float(tolerances.max()), scale)
-    return run.trajectory(corners[0], corners[-1])
+    ends = corners[0], corners[-1]
+    return _Run(path, ends, names, dt_s, velocities, accelerations, _CUBIC_SHARE * float(tolerances.max()), scale).trajectory()
 
 
 def _thin_parts(corners: Array, tolerances: Array) -> tuple[Int64, Array]:
@@ -171,6 +170,7 @@ class _Run:
     """One timing problem: the path and its limits."""
 
     path: BlendedPath
+    ends: tuple[Array, Array]
     names: tuple[str, ...]
     dt_s: float
     velocities: Array
@@ -183,18 +183,21 @@ class _Run:
         """Width of the moving average [s], whole steps of the grid."""
         return self.dt_s * max(3, round(_WINDOW_S / self.dt_s))
 
-    def trajectory(self, first: Array, last: Array) -> Trajectory:
+    def trajectory(self) -> Trajectory:
         """Time the path, lower its speed where the points would break a limit, and slow the whole by what is left of that."""
         from lime_planner.motion.profile import fastest  # toppra takes a second to import
 
         nodes = self._nodes()
         limits = self._speed_limits(nodes)
         profile = fastest(self.path, nodes, limits, self.accelerations)
-        best = self._slowed(profile, first, last)
+        best = self._slowed(profile)
         for _ in range(_EASINGS):
-            limits = np.minimum(limits, self._eased(profile, nodes))
+            eased = self._eased(profile, nodes)
+            if not np.isfinite(eased).any():
+                break
+            limits = np.minimum(limits, eased)
             profile = fastest(self.path, nodes, limits, self.accelerations)
-            result = self._slowed(profile, first, last)
+            result = self._slowed(profile)
             if len(result) >= len(best):
                 break
             best = result
@@ -203,9 +206,11 @@ class _Run:
     def _points(self, run: Profile, steps: int) -> tuple[Trajectory, Array]:
         """Return the points of a smoothed run, from rest to rest, and their coordinates (steps + 1,)."""
         coordinates, speeds = run.smoothed(self.dt_s * np.arange(steps + 1, dtype=np.float64), self.window_s)
+        positions = self.path(coordinates)
         velocities = self.path(coordinates, 1) * speeds[:, None]
+        positions[0], positions[-1] = self.ends
         velocities[0] = velocities[-1] = 0.0
-        return Trajectory(self.names, self.dt_s, self.path(coordinates), velocities), coordinates
+        return Trajectory(self.names, self.dt_s, positions, velocities), coordinates
 
     def _eased(self, run: Profile, nodes: Array) -> Array:
         """Return the run's own speed at every node (N + 1,), lower where its points would break a limit, infinite elsewhere."""
@@ -220,7 +225,7 @@ class _Run:
             factors[near] = np.maximum(factors[near], excess[i])
         return np.where(factors > 1.0, run.speeds / factors, np.inf)
 
-    def _slowed(self, profile: Profile, first: Array, last: Array) -> Trajectory:
+    def _slowed(self, profile: Profile) -> Trajectory:
         """Slow a run until the points carry it out within the limits and tolerances."""
         run_s = float(profile.times_s[-1])
         wanted_s = run_s
@@ -229,9 +234,6 @@ class _Run:
             wanted_s = steps * self.dt_s - self.window_s
             slowed = profile.stretched(wanted_s / run_s)
             result, coordinates = self._points(slowed, steps)
-            positions = result.positions.copy()
-            positions[0], positions[-1] = first, last
-            result = dataclasses.replace(result, positions=positions)
             excess = max(float(self._excess(result, coordinates).max()), self._coarseness(result, slowed))
             if excess <= 1.0 + LIMIT_SLACK:
                 return result

@@ -19,7 +19,7 @@ from lime_planner.motion.timing import time_path
 from lime_planner.motion.trajectory import Trajectory
 from lime_planner.pipeline.context import Clock, ask
 from lime_planner.pipeline.figures import leaf_profile
-from lime_planner.pipeline.leaf_spans import leaf_spans
+from lime_planner.pipeline.leaf_spans import LeafSpans, leaf_spans
 from lime_planner.pipeline.obstacles import Obstacles
 from lime_planner.robot.model import Robot
 
@@ -67,13 +67,7 @@ def make_trajectory(
         tolerances[close] = min(_CLOSE_TOLERANCE_RAD, settings.corner_tolerance_rad)
     if straight is not None and len(waypoints[straight]) > 1:
         tolerances[straight] = min(STRAIGHT_TOLERANCE_RAD, settings.corner_tolerance_rad)
-    slow: Callable[[Array], Array] | None = None
-    if settings.leaf_speed_scale < 1.0:
-        contact = leaf_spans(obstacles, waypoints)
-
-        def slow(p: Array) -> Array:
-            return np.where(contact.touches(p - SLOWED_RAD, p + SLOWED_RAD), settings.leaf_speed_scale, 1.0)
-
+    contact = leaf_spans(obstacles, waypoints) if settings.leaf_speed_scale < 1.0 else None
     lengths = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(waypoints, axis=0), axis=1)))
     rests = _rests(straight, len(waypoints)) if settings.stop_before_approach else []
     parts = [
@@ -86,7 +80,7 @@ def make_trajectory(
             velocity_scaling=settings.velocity_scaling,
             acceleration_scaling=settings.acceleration_scaling,
             corner_tolerance_rad=tolerances[first : last + 1],
-            speed_scale=None if slow is None else functools.partial(_from, slow, lengths[first]),
+            speed_scale=None if contact is None else functools.partial(_slowed, contact, settings.leaf_speed_scale, lengths[first]),
         )
         for first, last in itertools.pairwise([0, *rests, len(waypoints) - 1])
     ]
@@ -101,8 +95,10 @@ def _rests(straight: slice | None, count: int) -> list[int]:
     return [at for at in (first, stop - 1) if 0 < at < count - 1]
 
 
-def _from(scale: Callable[[Array], Array], start_rad: float, p: Array) -> Array:
-    return scale(start_rad + p)
+def _slowed(contact: LeafSpans, scale: float, start_rad: float, p: Array) -> Array:
+    """Return the share of the speed to use at lengths p along a part of a path that begins at a length of the whole, (K,)."""
+    at = start_rad + p
+    return np.where(contact.touches(at - SLOWED_RAD, at + SLOWED_RAD), scale, 1.0)
 
 
 def contract_violations(robot: Robot, trajectory: Trajectory, q_measured: Array, settings: Settings) -> list[str]:

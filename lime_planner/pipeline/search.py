@@ -56,48 +56,35 @@ def search(
         What was found, the goals it was found among, and the obstacles with their anchors.
     """
     began_s = time.monotonic()
-    patience = 1.0 if goals.more is None else _PATIENCE
-    first = _search(obstacles, q_start, goals, settings, seed=seed, budget_s=budget_s, should_stop=should_stop, patience=patience)
+    planner = load_planner(settings.planner)
+
+    def once(among: Goals, obstacles: Obstacles, iterations: int, deadline_s: float | None, patience: float) -> Outcome:
+        lower, upper = sampling_box(obstacles, q_start, among.configurations)
+
+        def space() -> ArmSpace:
+            return obstacles.space(lower, upper)
+
+        query = Query(
+            space(),
+            q_start,
+            among.configurations,
+            seed,
+            terminal_costs=among.costs,
+            iterations=iterations or None,
+            deadline_s=deadline_s,
+            patience=patience,
+            should_stop=should_stop,
+            threads=threads_of(settings),
+            another_space=space,
+        )
+        return planner.run(query, planner.options(settings))
+
+    first = once(goals, obstacles, settings.iterations, budget_s, 1.0 if goals.more is None else _PATIENCE)
     if first.path is not None or goals.more is None or first.status not in (Status.NO_PATH, Status.TIMED_OUT):
         return first, goals, obstacles
     more = goals.more()
     obstacles = obstacles.with_anchors(*tight_anchors(obstacles, more.configurations, q_start))
     left_s = None if budget_s is None else max(budget_s - (time.monotonic() - began_s), 0.0)
-    left = dataclasses.replace(settings, iterations=max(settings.iterations - first.iterations, 1)) if settings.iterations else settings
-    then = _search(obstacles, q_start, more, left, seed=seed, budget_s=left_s, should_stop=should_stop, patience=1.0)
+    then = once(more, obstacles, max(settings.iterations - first.iterations, 1) if settings.iterations else 0, left_s, 1.0)
     both = dataclasses.replace(then, iterations=first.iterations + then.iterations, checks=first.checks + then.checks)
     return both, more, obstacles
-
-
-def _search(
-    obstacles: Obstacles,
-    q_start: Array,
-    goals: Goals,
-    settings: Settings,
-    *,
-    seed: int,
-    budget_s: float | None,
-    should_stop: Callable[[], bool],
-    patience: float,
-) -> Outcome:
-    """Search once; `patience` is the share of the budget after which a search that has found no path may end."""
-    lower, upper = sampling_box(obstacles, q_start, goals.configurations)
-    planner = load_planner(settings.planner)
-
-    def space() -> ArmSpace:
-        return obstacles.space(lower, upper)
-
-    query = Query(
-        space(),
-        q_start,
-        goals.configurations,
-        seed,
-        terminal_costs=goals.costs,
-        iterations=settings.iterations or None,
-        deadline_s=budget_s,
-        patience=patience,
-        should_stop=should_stop,
-        threads=threads_of(settings),
-        another_space=space,
-    )
-    return planner.run(query, planner.options(settings))

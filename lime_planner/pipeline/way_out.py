@@ -12,6 +12,7 @@ import numpy as np
 
 from lime_planner.collision.exact import ExactChecker
 from lime_planner.collision.self_contact import SELF_CLEARANCE_M
+from lime_planner.core.geometry import unit
 from lime_planner.core.types import Array
 from lime_planner.pipeline.certify import hit_of
 from lime_planner.pipeline.figures import sample_path
@@ -56,11 +57,11 @@ def way_out(
     if here >= 0.0:
         return None
     gradient = np.array([clearance(q_start + step) - clearance(q_start - step) for step in _GRADIENT_RAD * np.eye(robot.n)])
-    courses = [_unit(gradient), *_hand_courses(robot, q_start)]
+    courses = [unit(gradient), *_hand_courses(robot, q_start)]
     best, found = 0.0, None
     for length in _LENGTHS_RAD:
-        scatter = np.linspace(0.0, 2.0, _SCATTER)[:, None] * _unit(rng.normal(size=(_SCATTER, robot.n)))
-        ways = _unit(np.concatenate([course + (scatter if i == 0 else scatter[: _SCATTER // 4]) for i, course in enumerate(courses)]))
+        scatter = np.linspace(0.0, 2.0, _SCATTER)[:, None] * unit(rng.normal(size=(_SCATTER, robot.n)))
+        ways = unit(np.concatenate([course + (scatter if i == 0 else scatter[: _SCATTER // 4]) for i, course in enumerate(courses)]))
         ends = np.clip(q_start + length * ways, robot.lower, robot.upper)
         ranked = sorted(((clearance(end), i) for i, end in enumerate(ends)), reverse=True)
         for reached, i in ranked[:_LOOKED_AT]:
@@ -80,8 +81,4 @@ def _hand_courses(robot: Robot, q: Array) -> list[Array]:
     forward_kinematics(robot.chain, q, poses)
     tool_jacobian(robot.chain, poses, jacobian)
     axes = robot.forward(q)[:3, :3].T
-    return [_unit(np.linalg.pinv(jacobian, rcond=1e-2) @ np.append(axis, np.zeros(3))) for axis in (-axes[2], *axes[:2], *-axes[:2])]
-
-
-def _unit(vectors: Array) -> Array:
-    return np.asarray(vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-12))
+    return [unit(np.linalg.pinv(jacobian, rcond=1e-2) @ np.append(axis, np.zeros(3))) for axis in (-axes[2], *axes[:2], *-axes[:2])]

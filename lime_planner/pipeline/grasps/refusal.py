@@ -11,12 +11,12 @@ from lime_planner.collision.exact import ExactChecker
 from lime_planner.core.status import Status
 from lime_planner.core.types import Array
 from lime_planner.pipeline.goals import ARM_BLOCKED, HAND_BLOCKED, NO_ROOM, OUT_OF_REACH, TOO_CLOSE, Approaches
+from lime_planner.pipeline.grasps.search import least_stretch_m, stations
 from lime_planner.pipeline.obstacles import Obstacles
 from lime_planner.pipeline.targets import Target
 
 _LOOKED_AT = 60  # blocked approaches whose obstacle is looked for
 _CELL_M = 0.03  # contacts in one such cube are with one thing
-_STATIONS = 4  # places of the hand along the stretch that must be free
 _OVERSHOOT_M = 0.004  # what stands around the hand in the model that refused it reaches this far beyond its surface
 _HARD_IN_WORDS = {"self": "through the arm itself", "floor": "through the floor", "workspace": "out of the workspace box"}
 
@@ -34,7 +34,7 @@ def explain(obstacles: Obstacles, checker: ExactChecker, approaches: Approaches,
     if counts[OUT_OF_REACH]:
         parts.append(f"{counts[OUT_OF_REACH]} out of reach")
     if blocked:
-        parts.append(f"{blocked} {_commonest(obstacles, checker, approaches, _least_m(obstacles, target))}")
+        parts.append(f"{blocked} {_commonest(obstacles, checker, approaches, least_stretch_m(target, obstacles.settings))}")
     if counts[NO_ROOM]:
         parts.append(f"{counts[NO_ROOM]} without room for the straight stretch")
     certified = len(outcomes) - sum(counts.values())
@@ -43,11 +43,6 @@ def explain(obstacles: Obstacles, checker: ExactChecker, approaches: Approaches,
     noun = "approach" if len(outcomes) == 1 else "approaches"
     sentence = f"no free grasp of {target}: {len(outcomes)} {noun} tried: {', '.join(parts)}"
     return Status.NO_IK_SOLUTION if counts[OUT_OF_REACH] == len(outcomes) else Status.GOAL_IN_STEM, sentence
-
-
-def _least_m(obstacles: Obstacles, target: Target) -> float:
-    settings = obstacles.settings
-    return 0.0 if target.kind == "pose" else min(settings.min_approach_distance_m, settings.approach_distance_m)
 
 
 def _commonest(obstacles: Obstacles, checker: ExactChecker, approaches: Approaches, least_m: float) -> str:
@@ -108,7 +103,7 @@ def _what_is_at(obstacles: Obstacles, place: Array) -> str:
 def _met_by_hand(obstacles: Obstacles, hard: cKDTree, T_base_tool: Array, least_m: float) -> tuple[list[str], list[Array]]:
     """Return what blocks the hand on an approach: boxes, floor and workspace in words, and the deepest hard point (3,), if there is one."""
     T_base_joint = T_base_tool @ np.linalg.inv(np.vstack([obstacles.robot.chain.tool, [0.0, 0.0, 0.0, 1.0]]))
-    for back_m in np.linspace(0.0, least_m, _STATIONS if least_m > 0.0 else 1):
+    for back_m in stations(least_m):
         T = T_base_joint.copy()
         T[:3, 3] -= back_m * T_base_tool[:3, 2]
         names, place = _borders_met(obstacles, T), _point_met(obstacles, hard, T)

@@ -81,8 +81,7 @@ class Trials:
         cls, obstacles: Obstacles, target: Target, q_start: Array, rng: np.random.Generator, should_stop: Callable[[], bool]
     ) -> Trials:
         """Make room for trials of a target that leaves something to choose; see `find_grasps`."""
-        least_m = min(obstacles.settings.min_approach_distance_m, obstacles.settings.approach_distance_m)
-        return cls(obstacles, q_start, rng, least_m if target.kind != "pose" else 0.0, should_stop)
+        return cls(obstacles, q_start, rng, least_stretch_m(target, obstacles.settings), should_stop)
 
     def __init__(
         self, obstacles: Obstacles, q_start: Array, rng: np.random.Generator, least_m: float, should_stop: Callable[[], bool]
@@ -116,7 +115,7 @@ class Trials:
         """Tell which of the poses (P, 4, 4) leave the hand free on the shortest stretch that counts, (P,)."""
         need = self.close_world.world.margin
         free = np.ones(len(poses), dtype=bool)
-        for back_m in self._stations():
+        for back_m in stations(self.least_m):
             left = np.flatnonzero(free)
             free[left] = self._hand_clearances(poses[left], back_m, need) >= need
         return free
@@ -126,13 +125,9 @@ class Trials:
         refused = np.flatnonzero((self.outcomes == HAND_BLOCKED) | (self.outcomes == ARM_BLOCKED) | (self.outcomes == NO_ROOM))
         poses, clearance = self.poses[refused], np.zeros(len(refused))
         blocked = np.flatnonzero(self.outcomes[refused] == HAND_BLOCKED)
-        for back_m in self._stations():
+        for back_m in stations(self.least_m):
             clearance[blocked] = np.minimum(clearance[blocked], self._hand_clearances(poses[blocked], back_m, -_DEEPEST_M))
         return refused[np.argsort(-clearance, kind="stable")[:count]]
-
-    def _stations(self) -> Array:
-        """Return how far back along the shortest stretch that counts the hand is looked at [m]."""
-        return np.linspace(0.0, self.least_m, _STATIONS if self.least_m > 0.0 else 1)
 
     def _hand_clearances(self, poses: Array, back_m: float, need_m: float) -> Array:
         """Return the hand's clearances at poses (P, 4, 4), drawn back by so much, (P,): exact near `need_m`, below it anything [m]."""
@@ -399,11 +394,11 @@ def find_grasps(
     trials.add(_placed(in_cone(axis, cone_rad, points), target.centre))
     parents = _PARENTS
     for number, share in enumerate(_SHARES[1:], start=1):
-        best, count = list(itertools.islice(trials.ranked(parents), parents)), int(share * settings.max_grasps)
-        if not count or (number >= _FREE_SHARES and best and not trials.touches_leaves()):
+        free, count = len(trials.totals) > 0, int(share * settings.max_grasps)
+        if not count or (free and number >= _FREE_SHARES and not trials.touches_leaves()):
             break
-        if best:
-            chosen = np.resize(best, count)
+        if free:
+            chosen = np.resize(list(itertools.islice(trials.ranked(parents), parents)), count)
             turns = around(trials.poses[trials.approach[chosen], :3, :3], axis, cone_rad, _TURN_RAD / 2.0 ** (number - 1), rng)
             trials.add(_placed(turns, target.centre), trials.stretches[chosen, 0])
             parents = max(1, parents // 2)
@@ -416,6 +411,16 @@ def find_grasps(
         turns = around(trials.poses[np.resize(blocked, count), :3, :3], axis, cone_rad, turn_rad, rng)
         trials.add(_placed(turns, target.centre))
     return trials.certified(wanted)
+
+
+def least_stretch_m(target: Target, settings: Settings) -> float:
+    """Return how long the straight stretch to a target must be at least [m]: a pose takes what there is."""
+    return 0.0 if target.kind == "pose" else min(settings.min_approach_distance_m, settings.approach_distance_m)
+
+
+def stations(least_m: float) -> Array:
+    """Return how far back along the shortest stretch that counts the hand is looked at [m]."""
+    return np.linspace(0.0, least_m, _STATIONS if least_m > 0.0 else 1)
 
 
 def cone_of(target: Target, settings: Settings) -> tuple[Array, float]:

@@ -13,9 +13,10 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from lime_planner.core.errors import ProblemError, SceneError
+from lime_planner.core.geometry import unit
 from lime_planner.core.types import Array, Int64
 from lime_planner.core.validation import finite_vector, floats, shown
-from lime_planner.scene.plants.surface import perpendicular, unit
+from lime_planner.scene.plants.surface import perpendicular
 from lime_planner.scene.scene import Scene
 
 MAX_APPROACH_RAD = np.pi / 4.0

@@ -7,8 +7,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from lime_planner.core.geometry import unit
 from lime_planner.core.types import Array
-from lime_planner.scene.plants.surface import perpendicular, unit
+from lime_planner.scene.plants.surface import perpendicular
 
 PETIOLE_WIDTH_M = 0.0016
 _SECTIONS = np.array([0.18, 0.45, 0.75])  # where along the midrib the blade has its cross-sections

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from lime_planner.core.geometry import unit
 from lime_planner.core.types import Array
 from lime_planner.scene.plants.skeleton import Canopy, Skeleton, nodes_along
-from lime_planner.scene.plants.surface import distance_to_segments, unit
+from lime_planner.scene.plants.surface import distance_to_segments
 
 PEDICEL_RADII_M = (0.0012, 0.0016)
 FRONT_SHARE = 0.75  #: of the limes hang on the robot's side of the trunk: the side that is presented to it

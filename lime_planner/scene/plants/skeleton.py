@@ -6,8 +6,9 @@ import dataclasses
 
 import numpy as np
 
+from lime_planner.core.geometry import unit
 from lime_planner.core.types import Array, Int64
-from lime_planner.scene.plants.surface import perpendicular, unit
+from lime_planner.scene.plants.surface import perpendicular
 
 GOLDEN_ANGLE_RAD = np.pi * (3.0 - np.sqrt(5.0))  #: turn from one bud to the next around a shoot of citrus, nearly
 

@@ -5,13 +5,8 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from lime_planner.core.geometry import unit
 from lime_planner.core.types import Array, Int64
-
-
-def unit(vectors: Array) -> Array:
-    """Return vectors (..., 3) at length one; a zero vector stays zero."""
-    length = np.linalg.norm(vectors, axis=-1, keepdims=True)
-    return vectors / np.where(length > 0.0, length, 1.0)
 
 
 def perpendicular(axes: Array) -> tuple[Array, Array]:
